@@ -37,7 +37,7 @@ WIDTH = 0.75  # diameters, which are 1
 CUTOFF = 2 * WIDTH
 RATE = 1.0  # of the uniform shear
 POINTS = "xcg.compiled.points.deposit"
-SEGMENTS = "xcg.fields.sums.segments.deposit_segments"
+SEGMENTS = "xcg.fields.segments.deposit_segments"
 FEW = 2000  # grains of panels that are only drawn again
 ROUNDING = 1e-15  # smaller errors are drawn here
 

@@ -252,15 +252,15 @@ TABLE = [
         "test_degrees_of_freedom_left_by_a_fit_equal_brute_force",
     ),
     Mutation(
-        "fields/sums/step.py", "np.where(mixed[contact], 0.5, 1.0)", "np.where(mixed[contact], 1.0, 1.0)",
+        "fields/passes.py", "np.where(mixed[contact], 0.5, 1.0)", "np.where(mixed[contact], 1.0, 1.0)",
         "test_phases_add_up",
     ),
     Mutation(
-        "fields/sums/step.py", "(self.position - lattice.middle) @ gradient.T", "self.position @ gradient.T",
+        "fields/passes.py", "(self.position - lattice.middle) @ gradient.T", "self.position @ gradient.T",
         "test_an_average_across_the_shear_is_that_in_the_middle_of_the_box",
     ),
     Mutation(
-        "fields/sums/deposit.py", "phase[row[at]] * others + phase[partner[at]]",
+        "fields/deposit.py", "phase[row[at]] * others + phase[partner[at]]",
         "phase[partner[at]] * others + phase[row[at]]", "test_exchange_between_phases_equals_brute_force",
     ),
     # --- fields/grids ---
@@ -424,7 +424,7 @@ TABLE = [
         "fields/advice.py", "/ support.grains < _BIAS", "< _BIAS", "test_warnings_about_mixtures_name_the_way_out",
     ),
     Mutation(
-        "fields/advice.py", "zip(plan.deposit.groups, shares[1:]", "zip(plan.deposit.groups, shares[:-1]",
+        "fields/advice.py", "zip(plan.groups, shares[1:]", "zip(plan.groups, shares[:-1]",
         "test_the_share_of_unknown_temperatures_is_that_of_the_nodes",
     ),
     Mutation(

@@ -98,7 +98,7 @@ def test_lengths_are_multiples_of_sizes(text, factor):
     by_size = ds.cg.explain("density", axes="z", width=text, spacing=text)
     by_number = ds.cg.explain("density", axes="z", width=length, spacing=length)
     assert by_size.kernel.width == by_number.kernel.width == pytest.approx(length, rel=1e-14)
-    assert by_size.deposit.nodes.spacing == by_number.deposit.nodes.spacing
+    assert by_size.nodes.spacing == by_number.nodes.spacing
     with pytest.raises(ValueError, match=r"multiple of .* such as '0\.75 d43'"):
         ds.cg.coarse_grain("density", axes="z", width=1.0, spacing="0.5 d")
 

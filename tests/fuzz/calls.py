@@ -173,7 +173,7 @@ def _coarse_grain(rng: random.Random, ds: xr.Dataset) -> None:
     )
     # as many nodes as a mesh may have would take minutes and all memory, which is what was asked for
     plan = ds.cg.explain(fields, **options)
-    if np.prod(plan.deposit.nodes.shape) < 30_000:
+    if np.prod(plan.nodes.shape) < 30_000:
         xcg.coarse_grain(ds, fields, **options)
 
 

@@ -169,11 +169,11 @@ def test_chosen_particles_of_a_lazy_scene_have_the_default_width_and_mesh_of_the
             lazy.cg.coarse_grain(FIELDS, **options).compute(),
             chosen.cg.coarse_grain(FIELDS, **options),
         )
-    assert lazy.cg.explain().deposit.nodes.shape == scene.cg.explain().deposit.nodes.shape
-    assert lazy.cg.explain("density", by="species").deposit.groups == (1, 2)
+    assert lazy.cg.explain().nodes.shape == scene.cg.explain().nodes.shape
+    assert lazy.cg.explain("density", by="species").groups == (1, 2)
     assert np.isfinite(lazy.cg.slice_temperature().velocity).any()
     measured = lazy.cg.measure()
-    assert measured.cg.explain("density", by="species").deposit.groups == (1,)
+    assert measured.cg.explain("density", by="species").groups == (1,)
     assert measured.attrs["dmax"] == float(chosen.diameter.max())
 
 

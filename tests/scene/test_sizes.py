@@ -95,8 +95,8 @@ def test_selections_keep_the_mesh_of_the_series(ds, select):
 def test_in_memory_a_part_of_the_scene_keeps_the_mesh(ds):
     part = ds.isel(particle=slice(5))
     assert (
-        part.cg.explain("density", spacing=0.2).deposit.nodes.shape
-        == ds.cg.explain("density", spacing=0.2).deposit.nodes.shape
+        part.cg.explain("density", spacing=0.2).nodes.shape
+        == ds.cg.explain("density", spacing=0.2).nodes.shape
     )
     assert part.cg.explain("density").kernel.width == ds.cg.explain("density").kernel.width
 
@@ -122,15 +122,12 @@ def test_measures_are_kept_in_files(ds, tmp_path):
     ds.to_netcdf(tmp_path / "ds.nc")
     for chunks in ({"time": 1}, None):
         with xr.open_dataset(tmp_path / "ds.nc", chunks=chunks) as again:
-            assert (
-                again.cg.explain("density").deposit.nodes.shape
-                == ds.cg.explain("density").deposit.nodes.shape
-            )
+            assert again.cg.explain("density").nodes.shape == ds.cg.explain("density").nodes.shape
 
 
 def test_changed_groups_need_measure(ds):
     lazy = ds.chunk(time=1)
-    assert lazy.cg.explain("density", by="species").deposit.groups == (1, 2)
+    assert lazy.cg.explain("density", by="species").groups == (1, 2)
     with pytest.raises(ValueError, match="not known without reading"):
         lazy.assign(species=lazy.species + 1).cg.explain("density", by="species")
 

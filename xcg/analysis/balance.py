@@ -243,7 +243,7 @@ def balance(scene: Scene, asked: BalanceRequest) -> xr.Dataset:
         fields |= dict.fromkeys(OF_PHASES)
     request = asked.ask(fields=[*fields], width=asked.width, for_averages=False)
     plan = make_plan(scene, request)
-    grid = plan.deposit.nodes
+    grid = plan.nodes
     if not grid.axes:
         raise ValueError(
             "balance takes differences between nodes: resolve an axis at least, such as axes='z'"

@@ -180,7 +180,7 @@ def with_nodes(
         kernel=asked.kernel,
         extent=asked.extent,
     )
-    grid = make_plan(scene, placing).deposit.nodes
+    grid = make_plan(scene, placing).nodes
     ends = {a: tuple(grid.coords[a].to_numpy()[[0, -1]].tolist()) for a in grid.axes}
     return replace(asked, spacing=spacing, bounds=ends)
 

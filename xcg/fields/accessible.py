@@ -153,7 +153,7 @@ def accessible_of(scene: Scene, plan: Plan, walls: Sequence[Wall]) -> Accessible
                 warn_user(
                     f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one"
                 )
-    grid = plan.deposit.nodes
+    grid = plan.nodes
     points, shares, first = _points_of(plan, walls, cylindrical=scene.cylindrical)
     averaged = _averaged(plan, walls, scene.edges)
     average = None
@@ -171,7 +171,7 @@ def _points_of(
     Nodes of a cylinder have a point at each of their angles, or one where walls are the same at all
     angles.
     """
-    grid = plan.deposit.nodes
+    grid = plan.nodes
     if not cylindrical:
         sizes = dict(zip(grid.dims, grid.sizes, strict=True))
         points = np.zeros((grid.count, 3))
@@ -265,7 +265,7 @@ def _averaged(
     """
     spans: dict[int, Span] = {}
     closed = [wall for wall in walls if not isinstance(wall, Surface)]
-    for a in plan.deposit.nodes.averaged:
+    for a in plan.nodes.averaged:
         k = COMPONENTS.index(a)
         if not any(wall.varies(k) for wall in walls):
             continue

@@ -109,7 +109,7 @@ def _mixed_masses(scene: Scene, plan: Plan) -> str:
         return ""
     # at most the share that the fit of velocity and gradient takes, if only the slow grains lose it
     support = plan.support
-    if support is not None and (1 + len(plan.deposit.nodes.seen)) / support.grains < _BIAS:
+    if support is not None and (1 + len(plan.nodes.seen)) / support.grains < _BIAS:
         return ""
     return (
         f"{', '.join(fields)} of grains whose masses differ by {masses:.2g} assumes that all have the same variance of "
@@ -192,9 +192,9 @@ def support_of(scene: Scene, plan: Plan) -> Support | None:
     None for widths by group, whose weights are not those of one kernel, and where sizes, extent or
     the box are not known. Of the rings of a cylinder it is that of the middle one.
     """
-    grid = plan.deposit.nodes
+    grid = plan.nodes
     count = scene.ds.sizes.get("particle", 0)
-    other_weights = len(plan.deposit.cutoffs) > 1
+    other_weights = len(plan.cutoffs) > 1
     size = scene.sizes.get("d43", np.nan)
     filled = _extent(scene, size)
     lengths = [
@@ -360,7 +360,7 @@ class ComputedStep:
             shares = lost.sum(axis=0) / count
             phases = [
                 f"{100 * share:.0f} % of the nodes of phase {group}"
-                for group, share in zip(plan.deposit.groups, shares[1:], strict=True)
+                for group, share in zip(plan.groups, shares[1:], strict=True)
                 if share > UNKNOWN
             ]
             if phases:
@@ -375,7 +375,7 @@ class ComputedStep:
         if not fraction.max(initial=0.0) > 1.0:
             return {}
         node = int(fraction.max(axis=1).argmax())
-        grid = self.plan.deposit.nodes
+        grid = self.plan.nodes
         index = dict(zip(grid.dims, np.unravel_index(node, grid.sizes), strict=True))
         at_node = []
         for name, coord in grid.coords.items():

@@ -113,7 +113,7 @@ def _compute(scene: Scene, request: Request, *, advise: bool) -> xr.Dataset:
         raise ValueError(f"{error}; {way_out}") from None
     check_size(
         scene,
-        plan.deposit.nodes,
+        plan.nodes,
         sum(map(math.prod, plan.shapes.values())),
         by_sizes=by_sizes,
     )

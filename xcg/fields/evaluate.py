@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import for_each
 from xcg.fields import advice
+from xcg.fields.deposit import Sums
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field
 from xcg.fields.formulas.program import program_for
 from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan
-from xcg.fields.sums.deposit import sums_of_frame
 from xcg.fields.sums.nodes import Block
 from xcg.scene.facts import SETUP, extent_text, setup_of
 from xcg.scene.lattice import Lattice
@@ -83,15 +83,14 @@ class CoarseGraining(FrameAnalysis):
         plan = self.plan
         threads = self.threads
         rows = len(frame["particle_id"]) + len(frame.get("contact_i", ()))
-        if rows * (plan.reached + _ONCE) + plan.deposit.nodes.count * _ONCE <= WORTH_SHARING:
+        if rows * (plan.reached + _ONCE) + plan.nodes.count * _ONCE <= WORTH_SHARING:
             threads = 1
         fields = {name: np.empty(plan.shapes[name]) for name in plan.fields}
         for_each([a.reshape(-1) for a in fields.values() if a.size > _PAGE], _take_memory, threads)
-        nodes = {
-            name: a.reshape(-1, plan.phases, *a.shape[len(plan.dims) :])
-            for name, a in fields.items()
-        }
-        _compute_step(plan, frame, lattice, source, threads, nodes)
+        at_nodes: dict[str, NDArray] = {}
+        for name, values in fields.items():
+            at_nodes[name] = values.reshape(-1, plan.phases, *values.shape[len(plan.dims) :])
+        _compute_step(plan, frame, lattice, source, threads, at_nodes)
         return fields
 
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
@@ -124,7 +123,7 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
     if any(of_box):
         lengths.append(lattice.extent(np.array(of_box)))
         if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
-            lattice.seen(plan.deposit.nodes.active, source)  # which may say more
+            lattice.seen(plan.nodes.active, source)  # which may say more
             axes = " and ".join(
                 repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged
             )
@@ -143,45 +142,45 @@ def _compute_step(
     lattice: Lattice,
     source: str,
     threads: int,
-    rows: Mapping[str, NDArray],
+    fields: Mapping[str, NDArray],
 ) -> None:
     """Compute the fields of one step into arrays (nodes, phase, ...)."""
-    grid = plan.deposit.nodes
-    check_mesh(frame["position"], grid, max(plan.deposit.cutoffs), lattice.open_axes, source)
+    nodes = plan.nodes
+    check_mesh(frame["position"], nodes, max(plan.cutoffs), lattice.open_axes, source)
     scale = scale_of(plan, lattice, source)
-    sums = sums_of_frame(frame, plan.deposit, lattice, scale, source, threads)
-    program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
+    sums = Sums(plan, frame, lattice, scale, source, threads)
+    program = program_for(plan.fields, plan.options, len(plan.groups))
     untraced = plan.fields
     if program:
         untraced = tuple(name for name in plan.fields if name not in program.widths)
-
+    # the box may change
+    options = replace(plan.options, wrapped=nodes.fills(lattice.axis_periods))
     reached: list[int] = []
 
-    def fill(part: Block) -> None:
-        at_nodes = sums.over(part)
-        place = part.places
-        reached.append(int(np.count_nonzero(~np.isnan(at_nodes.velocity[:, 0]))))
+    def fill(block: Block) -> None:
+        filled = sums.over(block)
+        places = block.places
+        reached.append(int(np.count_nonzero(~np.isnan(filled[0][0, :, 0]))))
         if program:
-            program.run(at_nodes, place, rows, part.order)
+            program.run(sums.table, filled, places, fields, block.order)
         if untraced:  # with NumPy
-            # the box may change
-            options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))
-            for name, values in registry.evaluate(untraced, at_nodes.moments, options).items():
-                rows[name][place] = values.swapaxes(0, 1)
+            evaluated = registry.evaluate(untraced, sums.moments(filled), options)
+            for name, values in evaluated.items():
+                fields[name][places] = values.swapaxes(0, 1)
 
     if plan.options.gradient == "finite_difference":  # of all nodes at once
-        blocks = grid.blocks(grid.count, 1)
+        blocks = nodes.blocks(nodes.count, 1)
     else:
-        blocks = grid.blocks(plan.block_nodes, threads)
+        blocks = nodes.blocks(plan.block_nodes, threads)
     for_each(blocks, fill, threads)
-    for name, values in rows.items():
+    for name, values in fields.items():
         rank = registry.row(name, plan.options).rank
-        if rank and grid.undirected.size:  # what is along the axis alone has a direction there
-            along: Any = (grid.undirected, ..., *(2,) * rank)
-            known = values[along]
-            values[grid.undirected] = np.nan
-            values[along] = known
-    advice.ComputedStep(plan, frame, lattice, source, rows, sum(reached), scale).warn()
+        if rank and nodes.undirected.size:  # what is along the axis alone has a direction there
+            along: Any = (nodes.undirected, ..., *(2,) * rank)
+            of_axis = values[along]
+            values[nodes.undirected] = np.nan
+            values[along] = of_axis
+    advice.ComputedStep(plan, frame, lattice, source, fields, sum(reached), scale).warn()
 
 
 _CYLINDRICAL: dict[str, dict[str, str]] = {
@@ -194,7 +193,7 @@ _CYLINDRICAL: dict[str, dict[str, str]] = {
 def _coordinates(scene: Scene, plan: Plan) -> dict[str, xr.Variable]:
     """Return the coordinates of a result beside time."""
     options = plan.options
-    grid = plan.deposit.nodes
+    grid = plan.nodes
     length = units_in("m", plan.setup.unit_system)
     of_scene = scene.ds.attrs
     facts = {name: of_scene[name] for name in ABOUT if name in of_scene}
@@ -213,8 +212,8 @@ def _coordinates(scene: Scene, plan: Plan) -> dict[str, xr.Variable]:
         if name in wrapped:
             attrs["period"] = wrapped[name]  # also of a part of the nodes
         coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
-    if plan.deposit.by:
-        coords["phase"] = phases_of(plan.deposit.by, plan.deposit.groups)
+    if plan.by:
+        coords["phase"] = phases_of(plan.by, plan.groups)
     fields = [registry.row(name, options) for name in plan.fields]
     axes = list(COMPONENTS)
     if scene.cylindrical:
@@ -222,7 +221,7 @@ def _coordinates(scene: Scene, plan: Plan) -> dict[str, xr.Variable]:
     for dim in ("component", "direction")[: max(field.rank for field in fields)]:
         coords[dim] = xr.Variable(dim, axes)
     if any(field.paired for field in fields):
-        others = [*map(str, plan.deposit.groups), "wall"]
+        others = [*map(str, plan.groups), "wall"]
         coords["other_phase"] = xr.Variable("other_phase", others)
     coords[SETUP] = setup_of(facts | choices)
     return coords
@@ -231,12 +230,12 @@ def _coordinates(scene: Scene, plan: Plan) -> dict[str, xr.Variable]:
 def _choices(plan: Plan) -> dict[str, Any]:
     """Return the options of a plan as attributes of its result."""
     options = plan.options
-    grid = plan.deposit.nodes
+    grid = plan.nodes
     width: Any = plan.kernel.width
     cutoff: Any = plan.kernel.cutoff
     if len(plan.widths) > 1:
         width = plan.widths
-        cutoff = list(plan.deposit.cutoffs)
+        cutoff = list(plan.cutoffs)
     shear_dims = "".join(COMPONENTS[k] for k in options.shear_axes or ())
     lengths = {axis: length for axis, length in plan.extent.items() if length is not None}
     choices = {

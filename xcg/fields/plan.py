@@ -6,13 +6,16 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.common.messages import unknown, warn_once
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
+from xcg.compiled.smoothing import KernelCode
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages, squared_integral
 from xcg.fields.formulas.field import Options, Quantity, Support
@@ -32,13 +35,15 @@ from xcg.fields.layout import (
 )
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
-from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE
-from xcg.fields.sums.segments import SINGLE, gauss_limits
-from xcg.fields.sums.step import DepositSpec
+from xcg.fields.sums.moments import Moment
+from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE, Nodes
+from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
 from xcg.scene.summary import Summary
 
+# what passes go over, as the text of a plan names it
+_OVER = ("particles", "slopes", "contacts", "contact points", "means")
 DENSE = 0.6  # volume fraction of the packing for which the noise is estimated
 
 
@@ -54,12 +59,26 @@ class Plan:
         The variables of the result; the other fields are its coordinates.
     variables : tuple of str
         What is read from the scene.
-    deposit : DepositSpec
-        Sums, nodes and kernel.
+    moments : mapping
+        Sums that are made, by name.
+    nodes : Nodes
+        Where.
     options : Options
         Choices of the algebra.
     kernel : Kernel
         The widest, where each group has its own.
+    weights : KernelCode
+        The kernel of the first cutoff as seen in the nodes' axes.
+    cutoffs : tuple of float
+        Radius of the support (m) of each group, or one for all.
+    limits : array
+        Longest branch (cutoffs) for 2, 4, ... Gauss-Legendre points; empty for closed forms.
+    coarse : bool
+        Whether single precision is enough for the weights of quadrature.
+    by : str or None
+        Integer particle variable that divides the grains into phases.
+    groups : tuple of int
+        Its values, one phase each.
     extent : dict
         Length of each averaged axis (m); None takes the box of each step.
     depth : float or str or None
@@ -83,7 +102,8 @@ class Plan:
         What the accessible fraction takes. Measured by `explain` alone.
 
     Other attributes follow from these: `dims`, of the nodes, and phase where there are several;
-    `phases`, their number, the bulk included; `widths`, of each group or one for all (m); `shapes`,
+    `phases`, their number, the bulk included; `group_count`, without it, and `other_count`, groups of
+    partners, the last one for walls; `cutoff_of_group` (m); `widths`, of each group or one for all (m); `shapes`,
     of one step of each field in the result; `reached`, the number of nodes in the box around the
     support of a grain; `block_nodes`, of those computed at a time.
     """
@@ -91,9 +111,16 @@ class Plan:
     fields: tuple[str, ...]
     asked: tuple[str, ...]
     variables: tuple[str, ...]
-    deposit: DepositSpec
+    moments: Mapping[str, Moment]
+    nodes: Nodes
     options: Options
     kernel: Kernel
+    weights: KernelCode
+    cutoffs: tuple[float, ...]
+    limits: NDArray
+    coarse: bool
+    by: str | None
+    groups: tuple[int, ...]
     extent: Mapping[str, float | None]
     depth: float | str | None
     setup: Setup
@@ -106,40 +133,57 @@ class Plan:
     walls: str | None = None
 
     def __post_init__(self) -> None:
-        deposit = self.deposit
-        grid = self.deposit.nodes
-        self.phases = 1 + len(deposit.groups)
-        self.dims = grid.dims
-        places = grid.sizes
-        if deposit.by:
+        self.phases = 1 + len(self.groups)
+        self.group_count = max(1, len(self.groups))
+        self.other_count = self.group_count + 1
+        self.cutoff_of_group = np.resize(self.cutoffs, self.group_count)
+        self.widths = [self.kernel.spread * cutoff for cutoff in self.cutoffs]
+        self.dims = self.nodes.dims
+        sizes = self.nodes.sizes
+        if self.by:
             self.dims += ("phase",)
-            places += (self.phases,)
-        self.widths = [self.kernel.spread * cutoff for cutoff in deposit.cutoffs]
-        rows = {name: registry.row(name, self.options) for name in self.fields}
-        self.shapes = {
-            name: places + (self.phases,) * row.paired + (3,) * row.rank
-            for name, row in rows.items()
-        }
-        moments = deposit.rows.values()
-        constants = [m for m in moments if m.column and not m.level and not m.along_branches]
-        grains = deposit.level + sum(math.prod(m.shape) for m in constants if not m.at_contacts)
-        points = sum(math.prod(m.shape) for m in constants if m.at_contacts)
-        has_slopes = any(name.endswith("_slope") for name in deposit.rows)
-        columns = {  # of each pass, by what it goes over; 0 for none
-            "particles": [grains],
-            "slopes": [LINEAR * has_slopes],
-            "contacts": [9 for m in moments if m.along_branches],
-            "contact points": [points],
-            "means": [m.level for m in moments if m.column],
-        }
-        self._columns = {over: [n for n in numbers if n] for over, numbers in columns.items()}
-        # sums at a node
-        self._numbers = deposit.phases * sum(sum(columns) for columns in self._columns.values())
-        self.reached = grid.nodes_within(2.0 * max(deposit.cutoffs))
-        self.block_nodes = BLOCK_NODES
-        if self.reached > FINE:
-            in_cache = CACHED // (8 * max(1, self._numbers))
-            self.block_nodes = min(BLOCK_NODES, max(FEWEST_NODES, in_cache))
+            sizes += (self.phases,)
+        self.shapes: dict[str, tuple[int, ...]] = {}
+        for name in self.fields:
+            row = registry.row(name, self.options)
+            self.shapes[name] = sizes + (self.phases,) * row.paired + (3,) * row.rank
+        self.reached = self.nodes.nodes_within(2.0 * max(self.cutoffs))
+
+    @cached_property
+    def block_nodes(self) -> int:
+        """Number of nodes that are computed at a time."""
+        if self.reached <= FINE:
+            return BLOCK_NODES
+        in_cache = CACHED // (8 * max(1, self._numbers))
+        return min(BLOCK_NODES, max(FEWEST_NODES, in_cache))
+
+    @cached_property
+    def _columns(self) -> dict[str, list[int]]:
+        """Columns of each pass, by what it goes over."""
+        columns: dict[str, list[int]] = {over: [] for over in _OVER}
+        level = 0
+        constants = {"grains": 0, "contacts": 0}
+        for moment in self.moments.values():
+            if moment.over == "branches":
+                columns["contacts"].append(9)
+            elif moment.over == "slopes":
+                columns["slopes"] = [LINEAR]
+            elif moment.level and moment.column:
+                columns["means"].append(moment.level)
+            elif moment.level:
+                level = max(level, moment.level)
+            elif moment.column:
+                constants[moment.over] += math.prod(moment.shape)
+        if level + constants["grains"]:
+            columns["particles"] = [level + constants["grains"]]
+        if constants["contacts"]:
+            columns["contact points"] = [constants["contacts"]]
+        return columns
+
+    @property
+    def _numbers(self) -> int:
+        """Number of sums at a node."""
+        return self.group_count * sum(map(sum, self._columns.values()))
 
     def __str__(self) -> str:
         return "\n".join(f"{key:9s} {text}" for key, text in self._lines().items())
@@ -149,9 +193,9 @@ class Plan:
 
     def _lines(self) -> dict[str, str]:
         """Return the text of the plan by headings."""
-        grid = self.deposit.nodes
-        averaged = [f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged]
-        kernel = f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions"
+        nodes = self.nodes
+        averaged = [f"{a} ({self.extent[a] or 'box'})" for a in nodes.averaged]
+        kernel = f"{self.kernel!r}, seen in {len(nodes.seen)} of {self.kernel.dimension} dimensions"
         if len(self.widths) > 1:
             kernel += f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}"
         passes = {over: len(columns) for over, columns in self._columns.items()}
@@ -161,15 +205,15 @@ class Plan:
             loops += f", {passes['contact points']} over contact points"
         if passes["means"]:
             loops += f", {passes['means']} relative to means"
-        sums = min(grid.count, self.block_nodes) * self._numbers
+        sums = min(nodes.count, self.block_nodes) * self._numbers
         outputs = sum(map(math.prod, self.shapes.values()))
         lines = {
             "fields": ", ".join(self.asked),
             "read": ", ".join(self.variables),
-            **grid.text,
+            **nodes.text,
             "averaged": ", ".join(averaged) or "none",
             "kernel": kernel,
-            "sums": ", ".join(f"{m} ({row.formula})" for m, row in self.deposit.rows.items()),
+            "sums": ", ".join(f"{m} ({row.formula})" for m, row in self.moments.items()),
             "loops": loops,
             "contacts": self._rules(),
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
@@ -196,11 +240,11 @@ class Plan:
         if not self._columns["contacts"]:
             return "not read for stress"
         rules = "closed form"
-        if len(self.deposit.limits):
-            limits = zip(RULES, self.deposit.limits, strict=False)
+        if len(self.limits):
+            limits = zip(RULES, self.limits, strict=False)
             steps = ", ".join(f"{k} to {x:.3g} c" for k, x in limits)
             rules = f"Gauss points by branch length ({steps}), closed form beyond"
-        if self.deposit.coarse:
+        if self.coarse:
             rules += ", weights in single precision"
         return f"{rules} (rtol = {self.rtol:g})"
 
@@ -213,12 +257,12 @@ def effective_count(scene: Scene, plan: Plan) -> float | None:
     lengths = [
         length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()
     ]
-    other_weights = scene.cylindrical or len(plan.deposit.cutoffs) > 1
+    other_weights = scene.cylindrical or len(plan.cutoffs) > 1
     if other_weights or "d43" not in scene.sizes or not np.isfinite(lengths).all():
         return None
     space = scene.setup.dimension
     number = DENSE / ({2: math.pi / 4, 3: math.pi / 6}[space] * scene.sizes["d43"] ** space)
-    return number * math.prod(lengths) / squared_integral(plan.kernel, len(plan.deposit.nodes.seen))
+    return number * math.prod(lengths) / squared_integral(plan.kernel, len(plan.nodes.seen))
 
 
 def make_plan(scene: Scene, request: Request) -> Plan:
@@ -241,44 +285,42 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     narrowest = min(k.width for k in kernels)
     of_groups = isinstance(request.width, Mapping)
     warn_of_width(narrowest, scene.sizes, _extent_of(scene), of_groups=of_groups)
-    grid = nodes_of(scene, request, kernels)
-    if grid.cuts:
-        warn_of_cuts(grid, scene, widest.cutoff)
+    nodes = nodes_of(scene, request, kernels)
+    if nodes.cuts:
+        warn_of_cuts(nodes, scene, widest.cutoff)
+    seen = len(nodes.seen)
     moments = registry.moments_of(names, options)
     if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & moments.keys():
-        check_differentiable(widest, len(grid.seen))
+        check_differentiable(widest, seen)
     limits = np.zeros(0)
-    if rtol and any(row.along_branches for row in moments.values()):
-        limits = gauss_limits(widest, len(grid.seen), rtol)
+    if rtol and any(moment.over == "branches" for moment in moments.values()):
+        limits = gauss_limits(widest, seen, rtol)
     groups: tuple[int, ...] = ()
     if by is not None or request.groups is not None:
         groups = scene.groups(by, request.groups)
-    deposit = DepositSpec(
-        rows=moments,
-        nodes=grid,
-        weights=kernels[0].weights(len(grid.seen)),
-        cutoffs=tuple(k.cutoff for k in kernels),
-        limits=limits,
-        coarse=limits.size > 0 and rtol >= SINGLE,
-        by=by,
-        groups=groups,
-    )
-    x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
+    x, y, z = (nodes.spacing.get(a, 0.0) for a in COMPONENTS)
     options = replace(
         options,
-        active=tuple(grid.active.tolist()),
-        shape=grid.shape,
+        active=tuple(nodes.active.tolist()),
+        shape=nodes.shape,
         spacing=(x, y, z),
-        wrapped=grid.fills(np.array(scene.lasting_periods)),
+        wrapped=nodes.fills(np.array(scene.lasting_periods)),
     )
     return Plan(
         fields=names,
         asked=asked,
         variables=tuple(n for n in scene.columns if n in read),
-        deposit=deposit,
+        moments=moments,
+        nodes=nodes,
         options=options,
         kernel=widest,
-        extent=extents_of(grid, request.extent or {}, scene),
+        weights=kernels[0].weights(seen),
+        cutoffs=tuple(k.cutoff for k in kernels),
+        limits=limits,
+        coarse=limits.size > 0 and rtol >= SINGLE,
+        by=by,
+        groups=groups,
+        extent=extents_of(nodes, request.extent or {}, scene),
         depth=scene.layer_depth,
         setup=scene.setup,
         rtol=rtol,

@@ -82,7 +82,7 @@ def variation_of_flow(
     The flow is a sum of cubic polynomials along each axis. Of each part of V the noise of the fit
     is subtracted, from the squares and the squared derivatives of Legendre polynomials.
     """
-    grid = plan.deposit.nodes
+    grid = plan.nodes
     position = frame["position"]
     mass = frame["mass"]
     of_box = np.zeros_like(position)

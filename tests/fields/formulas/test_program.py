@@ -165,8 +165,8 @@ def test_symbols_have_no_truth_value_and_no_cubes():
 def test_results_are_not_lost_in_copies(spoil):
     run = program.Program.run
 
-    def spoiled(self, sums, place, out, order):
-        return run(self, sums, place, out | {"stress": spoil(out["stress"])}, order)
+    def spoiled(self, table, filled, place, out, order):
+        return run(self, table, filled, place, out | {"stress": spoil(out["stress"])}, order)
 
     ds = xcg.datasets.random_scene(20, seed=1)
     with (

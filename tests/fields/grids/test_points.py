@@ -169,7 +169,7 @@ def test_bits_do_not_depend_on_blocks_threads_and_order(scene, many):
     order = np.random.default_rng(1).permutation(f.sizes["point"])
     turned = {a: x.isel(point=order) for a, x in many.items()}
     with mock.patch.object(module, "BLOCK_NODES", 700), mock.patch.object(module, "_FEW", 100):
-        assert len(scene.cg.explain(at=turned).deposit.nodes.parts) > 10
+        assert len(scene.cg.explain(at=turned).nodes.parts) > 10
         parts = scene.cg.coarse_grain(at=turned)
     with mock.patch("xcg.steps.analysis.THREADS", 1):
         alone = scene.cg.coarse_grain(at=many)

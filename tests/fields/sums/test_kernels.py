@@ -21,7 +21,7 @@ from xcg.compiled.polynomials import closed_for
 from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import SHELLS
 from xcg.fields.sums.kernels import kernel_of
-from xcg.fields.sums.segments import gauss_limits
+from xcg.fields.sums.quadrature import gauss_limits
 
 NAMES = ["lucy", "gaussian", "shifted gaussian", "heaviside"]
 SPHERE = {1: 2.0, 2: 2 * np.pi, 3: 4 * np.pi}

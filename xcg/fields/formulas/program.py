@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,6 @@ from xcg.compiled.simd import EIGHT
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.algebra import Trace, as_symbols, zero_if_unknown
 from xcg.fields.formulas.field import Options
-from xcg.fields.sums.deposit import BlockSums
-from xcg.fields.sums.step import Layout
 
 PADDED = 8  # least length of a tuple of arrays; others are 4, 16, ... times as long
 
@@ -54,16 +52,35 @@ class Program:
     stores: NDArray
 
     def run(
-        self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None
+        self,
+        table: Mapping[str, tuple[int, NDArray, NDArray]],
+        filled: Sequence[NDArray],
+        place: NDArray,
+        out: Mapping[str, NDArray],
+        order: NDArray | None,
     ) -> None:
-        """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
+        """Compute fields (places, ...) from sums at some nodes, each to its `place` (nodes,).
 
         They are taken in an `order` (nodes,), such as that of their places: memory is then written
         line by line.
+
+        Parameters
+        ----------
+        table : mapping
+            Where each moment is: which of the arrays, its columns, and a factor for each group.
+        filled : sequence of array (groups, nodes, columns)
+            Sums at the nodes.
         """
-        arrays, layouts = _arrays_of(sums)
-        sources = self._sources(layouts)
-        factors = list(dict.fromkeys(source.factor for source in sources))
+        arrays = [array for groups in filled for array in groups]
+        first_array = np.cumsum([0, *map(len, filled)]).tolist()
+        sources: list[tuple[int, int, float]] = []  # array, column and factor of each input
+        for moment, group, column in self.inputs:
+            number, columns, factor = table[moment]
+            first_column = int(columns.min())
+            sources.append(
+                (first_array[number] + group, first_column + column, float(factor[group]))
+            )
+        factors = list(dict.fromkeys(factor for _, _, factor in sources))
         # rows of the scratch: constants, factors, columns of each array, results of steps
         constants = len(self.scratch)
         widths = [array.shape[1] for array in arrays]
@@ -73,16 +90,16 @@ class Program:
         scratch[:constants] = self.scratch
         scratch[constants : rows[0]] = np.reshape(factors, (-1, 1))
         inputs = [
-            (rows[source.array] + source.column, constants + factors.index(source.factor))
-            for source in sources
+            (rows[array] + column, constants + factors.index(factor))
+            for array, column, factor in sources
         ]
-        columns = np.column_stack([widths, rows[: len(arrays)]])
+        columns_of_arrays = np.column_stack([widths, rows[: len(arrays)]])
         if order is not None:
             place = place[order]
         loops.run(
             self.steps,
             _padded([_flat(array) for array in arrays]),
-            columns.astype("uint64"),
+            columns_of_arrays.astype("uint64"),
             np.array(inputs, "uint64").reshape(-1, 2),
             _padded([_flat(out[name]) for name in self.widths]),
             self.stores,
@@ -92,28 +109,6 @@ class Program:
             np.empty((loops.TILE + EIGHT) * max(widths)),
             scratch,
         )
-
-    def _sources(self, layouts: Mapping[str, tuple[int, Layout]]) -> list[_Source]:
-        """Return where each input stands among the arrays of sums."""
-        sources = []
-        for moment, group, column in self.inputs:
-            if moment == "reference":
-                sources.append(_Source(0, column, 1.0))
-                continue
-            first_array, layout = layouts[moment]
-            columns, factor = layout.moments[moment]
-            if not isinstance(factor, float):  # of each group
-                factor = float(factor[group])
-            sources.append(_Source(first_array + group, int(columns.min()) + column, factor))
-        return sources
-
-
-class _Source(NamedTuple):
-    """An input of a program: a column of an array of sums, times a factor."""
-
-    array: int
-    column: int
-    factor: float
 
 
 def _flat(numbers: NDArray) -> NDArray:
@@ -131,20 +126,6 @@ def _padded(arrays: Sequence[NDArray]) -> tuple[NDArray, ...]:
     while length < len(arrays):
         length *= 4
     return (*arrays, *(np.empty(0) for _ in range(length - len(arrays))))
-
-
-def _arrays_of(sums: BlockSums) -> tuple[list[NDArray], dict[str, tuple[int, Layout]]]:
-    """Return arrays (nodes, columns) of a block, and first array and layout of each moment.
-
-    The reference velocity is the first array; the groups of each pass follow.
-    """
-    arrays = [sums.velocity]
-    layouts: dict[str, tuple[int, Layout]] = {}
-    for done, groups in zip(sums.of.passes, sums.filled, strict=True):
-        for name in done.layout.moments:
-            layouts.setdefault(name, (len(arrays), done.layout))
-        arrays += list(groups)
-    return arrays, layouts
 
 
 @lru_cache(maxsize=64)

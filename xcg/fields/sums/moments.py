@@ -279,11 +279,12 @@ class Moment:
         relative to each node.
     contacts : bool
         Whether contacts are needed, in whole.
-    at_contacts : bool
-        Whether a row of `column` is a contact, which stands at its contact point, and not a grain.
-    along_branches : bool
-        Whether `column` gives what each side of a contact carries along its branch, (2, contacts,
-        3) for i and j; without a column that is the force.
+    over : str
+        What is summed over: "grains"; "contacts", where a row of `column` is a contact, which
+        stands at its contact point; "branches", where `column` gives what each side of a contact
+        carries along its branch, (2, contacts, 3) for i and j, or without a column the force;
+        "pairs", forces between phases at the contact points; "walls", forces of walls at the
+        contact points; or "slopes", kinematic columns weighted by grad Psi.
     layout : tuple
         Columns of the components, counted from the first, where they do not stand one after the
         other.
@@ -302,8 +303,7 @@ class Moment:
     first: int = 0
     column: Column | None = None
     contacts: bool = False
-    at_contacts: bool = False
-    along_branches: bool = False
+    over: str = "grains"
     layout: tuple[Any, ...] = ()
     paired: bool = False
     optional: tuple[str, ...] = ()
@@ -371,8 +371,8 @@ _I_OMEGA = ("moment_of_inertia", "angular_velocity")
 _power_moment = partial(
     Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", WALL_VELOCITY)
 )
-_at_contacts = partial(Moment, contacts=True, at_contacts=True)
-_along_branches = partial(Moment, _FORCE, shape=(3, 3), contacts=True, along_branches=True)
+_at_contacts = partial(Moment, contacts=True, over="contacts")
+_along_branches = partial(Moment, _FORCE, shape=(3, 3), contacts=True, over="branches")
 MOMENTS: dict[str, Moment] = {
     # kinematic columns, relative to the node: x = r_i - r, u = v_i - U
     # not times Psi, and so a number, and not one per volume
@@ -471,14 +471,14 @@ MOMENTS: dict[str, Moment] = {
         _FORCE, "f_t n", (3, 3), column=tangential_normals, optional=_NORMAL, units="N"
     ),
     "pair_force": Moment(
-        _FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True, units="N"
+        _FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, over="pairs", paired=True, units="N"
     ),
     "contact_couple": _at_contacts(_FORCE, "(b_i - b_j) x f", (3,), column=couples, units="J"),
-    "taken_up": _power_moment("-f.(u_i - u_j)", column=taken_up, at_contacts=True, units="W"),
-    "wall_power": _power_moment("f.u of the wall", column=of_walls, at_contacts=True, units="W"),
+    "taken_up": _power_moment("-f.(u_i - u_j)", column=taken_up, over="contacts", units="W"),
+    "wall_power": _power_moment("f.u of the wall", column=of_walls, over="contacts", units="W"),
     # weighted by grad Psi
-    "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), layout=_OFFSETS, units="kg m^-1"),
-    "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS, units="kg s^-1"),
+    "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), over="slopes", layout=_OFFSETS, units="kg m^-1"),
+    "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), over="slopes", layout=_SHEARS, units="kg s^-1"),
     # along branches, and at walls
     "contact": _along_branches("f a, along the branch", units="J"),
     "strong_contact": _along_branches(
@@ -489,10 +489,10 @@ MOMENTS: dict[str, Moment] = {
     "pair_contact": _along_branches("f a, along the branch, by phase of the partner", paired=True, units="J"),
     "couple": _along_branches("(b x f) a, along the branch", column=torque_of_sides, units="J m"),
     "side_power": _power_moment(
-        "(f.u) a, along the branch", (3,), column=power_of_sides, along_branches=True,
+        "(f.u) a, along the branch", (3,), column=power_of_sides, over="branches",
         units="W m",
     ),
-    "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True, units="N"),
+    "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True, over="walls", units="N"),
 }  # fmt: skip
 
 # powers of the cutoff in the kinematic columns, which the deposit computes with lengths in cutoffs

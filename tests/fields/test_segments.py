@@ -8,7 +8,7 @@ import xarray as xr
 
 import xcg
 from tests import planning, sharing_threads
-from xcg.fields.sums import segments
+from xcg.fields import segments
 
 SCENES = {
     "periodic": {"particles": 260},

@@ -1,10 +1,10 @@
-"""Single step as its passes take it: requested sums, rows and their images, nodes and kernels, and the passes."""
+"""Single step as its passes take it: rows and their images, nodes and kernels; and the passes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeAlias, cast
 
@@ -14,70 +14,20 @@ from numpy.typing import NDArray
 from xcg.common.messages import warn_once
 from xcg.compiled.points import NONE, Grains
 from xcg.compiled.reach import spatial_order
-from xcg.compiled.smoothing import KernelCode
+from xcg.fields.plan import Plan
 from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
-from xcg.fields.sums.nodes import DIAMETER, Block, Nodes, Smoothing, triple
+from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, triple
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
 
+# columns of the components of a moment (a symmetric tensor names six of them nine times), and a
+# factor, or one for each group
+Columns: TypeAlias = tuple[NDArray, float | NDArray]
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the
 # reference velocity
 Fill: TypeAlias = Callable[[Block, NDArray, NDArray], None]
-
-
-@dataclass(eq=False)
-class DepositSpec:
-    """Options of the deposits: which sums, where, with which kernels.
-
-    Attributes
-    ----------
-    rows : mapping
-        The moments by name.
-    nodes : Nodes
-    weights : KernelCode
-        The kernel of the first cutoff as seen in the nodes' axes.
-    cutoffs : tuple of float
-        Radius of the support (m) of each group, or one for all.
-    limits : array
-        Longest branch (cutoffs) for 2, 4, ... Gauss-Legendre points; empty for closed forms.
-    coarse : bool
-        Whether single precision is enough for the weights of quadrature.
-    by : str or None
-        Integer particle variable that divides the grains into phases.
-    groups : tuple of int
-        Its values, one phase each.
-
-    Other attributes follow from these: `phases`, the number of groups or 1; `by_phase`, the cutoff
-    of each (m); `distinct`, each cutoff once, rising; `origin`, the place that loops take others
-    relative to (m); `of_grains`, the moments of the main pass over grains, and `level`, the flow
-    columns of that pass.
-    """
-
-    rows: Mapping[str, Moment]
-    nodes: Nodes
-    weights: KernelCode
-    cutoffs: tuple[float, ...]
-    limits: NDArray
-    coarse: bool = False
-    by: str | None = None
-    groups: tuple[int, ...] = ()
-
-    def __post_init__(self) -> None:
-        self.phases = max(1, len(self.groups))
-        self.others = self.phases + 1  # groups of partners, the last one for walls
-        self.by_phase = np.resize(self.cutoffs, self.phases)
-        self.distinct = sorted(set(self.cutoffs))
-        self.origin = triple(self.nodes.origin)
-        elsewhere = {
-            name for name, row in self.rows.items() if row.at_contacts or row.along_branches
-        }
-        here = {name: row for name, row in self.rows.items() if name not in elsewhere}
-        self.of_grains = {
-            name: row for name, row in here.items() if bool(row.level) != bool(row.column)
-        }
-        self.level = max((row.level for row in self.of_grains.values()), default=NONE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,47 +65,34 @@ class Squared:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
-    """Columns of the sums of a pass; its array is (groups, nodes, columns).
+class Pass:
+    """Prepared pass over grains, points or segments, whose sums are an array (groups, nodes, columns).
 
     Attributes
     ----------
     groups, columns : int
     moments : mapping
-        Columns that each moment is made of (a symmetric tensor names six of them nine times), with
-        a factor, or one for each group.
+        Columns of each moment, and factors.
     level : int
         How many columns are kinematic columns; they are the first ones.
     apart : bool
         Whether it has a reference of its own.
     vector : bool
         Whether the numbers in the place of velocity are the components of a vector.
+    fills : list of Fill
+        Loops that add to the sums, for one cutoff each.
+    squared : list of Squared
+        Grains whose weights are squared.
     """
 
     groups: int
     columns: int
-    moments: Mapping[str, tuple[NDArray, float | NDArray]]
+    moments: Mapping[str, Columns]
     level: int = NONE
     apart: bool = False
     vector: bool = True
-
-    def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
-        """Yield name and array (components, groups, nodes) of each moment, from the sums (groups, nodes, columns)."""
-        turned = records.transpose(2, 0, 1)
-        for name, (columns, factor) in self.moments.items():
-            yield name, turned[columns] * np.broadcast_to(factor, self.groups)[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Pass:
-    """Prepared pass over grains or segments: each `fill` is a loop for one cutoff, which adds to its array.
-
-    `squared` are the grains whose weights are squared in it.
-    """
-
-    layout: Layout
-    fill: Sequence[Fill]
-    squared: Sequence[Squared] = ()
+    fills: list[Fill] = field(default_factory=list)
+    squared: list[Squared] = field(default_factory=list)
 
 
 _HIDDEN_SHEAR = (
@@ -189,18 +126,22 @@ class Images:
     drift: NDArray | None = None
 
 
-class StepRows:
-    """Single frame, the request, and arrays that several passes share.
+class StepArrays:
+    """Single frame, the plan, and arrays that several passes share.
 
     Attributes
     ----------
     frame : Frame
         Variables of the step, without frozen grains.
-    spec : DepositSpec
+    plan : Plan
     position, velocity, mass, phase : array (n, 3), (n, 3), (n,), (n,)
     contacts : Contacts, optional
     lattice : Lattice
         Periodic images, as seen along the axes of the nodes.
+    origin : tuple of float
+        The place that loops take others relative to (m).
+    cutoffs : list of float
+        Radii of supports, each once, rising (m).
     smoothings : dict
         The kernel by cutoff, times `scale`, which divides by the extent of averaged axes.
     grains : Images
@@ -214,35 +155,37 @@ class StepRows:
     """
 
     def __init__(
-        self, frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str
+        self, frame: Frame, plan: Plan, lattice: Lattice, scale: float, source: str
     ) -> None:
         self.frame = without_frozen(frame)
         if not len(self.frame["position"]):
             # nor contacts of theirs
             frame = self.frame = {name: values[:0] for name, values in self.frame.items()}
-        self.spec = spec
+        self.plan = plan
         self.source = source
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
-        self.phase = phase_of(self.frame, spec.by, spec.groups, source)
+        self.phase = phase_of(self.frame, plan.by, plan.groups, source)
         contacts = None  # no moment takes them
         if "contact_i" in self.frame:
             contacts = Contacts.of(self.frame, lattice, source)
         self.contacts = cast(Contacts, contacts)
-        moving = any(WALL_VELOCITY in row.optional for row in spec.rows.values())
+        moving = any(WALL_VELOCITY in moment.optional for moment in plan.moments.values())
         if self.contacts and moving and "frozen" in frame:
             self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, source)
         at_rest = np.broadcast_to(0.0, (self.count, 3))
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", at_rest))
         self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
         # which are a part of the scene
-        nodes = spec.nodes
+        nodes = plan.nodes
+        self.origin = triple(nodes.origin)
+        self.cutoffs = sorted({*plan.cutoffs})
         self.lattice = replace(lattice.seen(nodes.active, source), edges=None)
-        paired = any(name.startswith("square") for name in spec.rows)
+        paired = any(name.startswith("square") for name in plan.moments)
         self.smoothings: dict[float, Smoothing] = {}
-        for cutoff in spec.distinct:
-            norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** len(nodes.seen)
-            weights = spec.weights._replace(norm=norm * scale)
+        for cutoff in self.cutoffs:
+            norm = plan.weights.norm * (plan.cutoffs[0] / cutoff) ** len(nodes.seen)
+            weights = plan.weights._replace(norm=norm * scale)
             smoothing = Smoothing(nodes, self.lattice.period, cutoff, weights)
             smoothing.check_reach(DIAMETER, source, paired=paired)
             self.smoothings[cutoff] = smoothing
@@ -259,11 +202,12 @@ class StepRows:
         They are those in the middle of the box, for every image of a grain, as images along these
         axes are one.
         """
-        gradient = lattice.gradient_along(~self.spec.nodes.active)
+        gradient = lattice.gradient_along(~self.plan.nodes.active)
         if gradient is None:
             return self.frame
-        of_velocity = {n for n, row in self.spec.rows.items() if "velocity" in row.variables}
-        of_contacts = [n for n, row in self.spec.rows.items() if row.contacts]
+        moments = self.plan.moments.items()
+        of_velocity = {n for n, moment in moments if "velocity" in moment.variables}
+        of_contacts = [n for n, moment in moments if moment.contacts]
         names = [n for n in of_contacts if n in of_velocity - {_AT_ONE_PLACE}]
         if names:
             text = _HIDDEN_SHEAR.format(names=", ".join(names))
@@ -276,7 +220,7 @@ class StepRows:
         """Return the positions of rows, with all images near the mesh where a box is tilted."""
         if self.lattice.vectors is None:
             return Images(position, self.in_space(position), slice(None))
-        row, shift, drift = self.near_mesh(position, self.spec.distinct[-1])
+        row, shift, drift = self.near_mesh(position, self.cutoffs[-1])
         position = position[row] + shift
         images = Images(position, self.in_space(position), row)
         if drift.any():
@@ -285,7 +229,7 @@ class StepRows:
 
     def near_mesh(self, position: NDArray, reach: float) -> tuple[NDArray, NDArray, NDArray]:
         """Images of positions no further than `reach` (m) from the nodes, see `Lattice.images`."""
-        return self.lattice.images(position, *self.spec.nodes.around(reach), self.source)
+        return self.lattice.images(position, *self.plan.nodes.around(reach), self.source)
 
     def translations(self, cutoff: float) -> NDArray | None:
         """Return translations (m, 3), in cutoffs, between images of a grain that reach one node; None where none do."""
@@ -294,23 +238,23 @@ class StepRows:
             return None
         return translations
 
-    def column(self, row: Moment, at: Images, contact: NDArray | None = None) -> NDArray:
+    def column(self, moment: Moment, at: Images, contact: NDArray | None = None) -> NDArray:
         """Columns (n, q) of a moment: its values at the grains, or of the contacts that stand at places."""
-        assert row.column is not None
+        assert moment.column is not None
         which = at.row
         if contact is not None:
             which = contact
         frame = self.of_grains
-        if row.contacts:
+        if moment.contacts:
             frame = self.frame
-        values = row.column(frame, self.contacts)[which]
+        values = moment.column(frame, self.contacts)[which]
         values = values.reshape(len(at.position), math.prod(values.shape[1:]))
-        if at.drift is not None and "velocity" in row.variables:
+        if at.drift is not None and "velocity" in moment.variables:
             # images that move alike take one call, as a grain's value may be a sum over its
             # contacts
             for drift, here in alike(at.drift):
                 moved = frame | {"velocity": frame["velocity"] + drift}
-                of_images = row.column(moved, self.contacts)[which]
+                of_images = moment.column(moved, self.contacts)[which]
                 values[here] = of_images[here].reshape(-1, values.shape[1])
         return values
 
@@ -337,11 +281,11 @@ class StepRows:
         # axis=0 is slow
         lower = [float(np.min(x)) for x in position.T]
         upper = [float(np.max(x)) for x in position.T]
-        farthest = np.abs(np.array([lower, upper]) - self.spec.origin).max(axis=0)
-        for cutoff in {self.spec.distinct[0], self.spec.distinct[-1]}:
+        farthest = np.abs(np.array([lower, upper]) - self.origin).max(axis=0)
+        for cutoff in {self.cutoffs[0], self.cutoffs[-1]}:
             self.smoothings[cutoff].check_far(farthest / cutoff + 2.0, self.source)
         return spatial_order(
-            position, self.spec.distinct[0], lower, upper, self.spec.nodes.active.tolist()
+            position, self.cutoffs[0], lower, upper, self.plan.nodes.active.tolist()
         )
 
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from xcg.compiled import points as loops
 from xcg.compiled.rings import ROOM, Flow, Rings, ring_means, ring_references, ring_squares
+from xcg.fields.passes import Pass, Squared
 from xcg.fields.sums.moments import MOMENTS
-from xcg.fields.sums.step import Layout, Pass, Squared
 
 _TO_TURN = (  # moments in kinematic columns that are vectors and tensors, and the level from which they are there
     (loops.VELOCITY, "momentum"),
@@ -35,17 +35,16 @@ def average_over_rings(run: Pass, rings: Rings, sums: NDArray, velocities: NDArr
     sums, velocities : array (groups, angles, columns), (angles, 3)
         Sums at the angles, and what they are relative to.
     """
-    layout = run.layout
     groups, _, columns = sums.shape
-    reference, difference = reference_of_rings(rings, velocities, turns=layout.vector)
+    reference, difference = reference_of_rings(rings, velocities, turns=run.vector)
     averaged = np.zeros((groups, len(reference), columns))
     record = np.empty(columns)
     tensor = np.empty(27)
-    tensors = _tensors(layout)
-    ring_means(sums, rings, difference, tensors, layout.level, _SHIFTED, record, tensor, averaged)
+    tensors = _tensors(run)
+    ring_means(sums, rings, difference, tensors, run.level, _SHIFTED, record, tensor, averaged)
     if len(rings.angle) > len(reference):
         for squared in run.squared:
-            _square(layout, squared, rings, averaged)
+            _square(run, squared, rings, averaged)
     return averaged
 
 
@@ -63,7 +62,7 @@ def reference_of_rings(
     return mean, difference
 
 
-def _square(layout: Layout, squared: Squared, rings: Rings, averaged: NDArray) -> None:
+def _square(run: Pass, squared: Squared, rings: Rings, averaged: NDArray) -> None:
     """Replace the per-angle sums of squared weights by the sums of the fit over the whole ring."""
     nodes = squared.smoothing.nodes
     seen_z = "z" in nodes.seen
@@ -80,24 +79,24 @@ def _square(layout: Layout, squared: Squared, rings: Rings, averaged: NDArray) -
         near &= np.abs(position[:, 2] - middle[1]) < reach[1]
     row = row[near]
     grains = position[near], squared.grains.mass[row], squared.grains.phase[row]
-    out = np.zeros((layout.groups, len(rings.place), 10))
+    out = np.zeros((run.groups, len(rings.place), 10))
     scratch = np.zeros((5, int(np.diff(rings.start).max()) + ROOM))
     weights = squared.smoothing.weights
     vectors = np.zeros((4, 3))
     ring_squares(grains, weights, cutoff, rings, seen_z, dimension, scratch, vectors, out)
     columns = loops.SQUARES[:1]
-    if layout.level >= loops.SQUARED:
+    if run.level >= loops.SQUARED:
         columns = loops.SQUARES
     for k, column in enumerate(columns):
         averaged[squared.groups, :, column] = out[squared.groups, :, k]
 
 
-def _tensors(layout: Layout) -> tuple[NDArray, NDArray]:
+def _tensors(run: Pass) -> tuple[NDArray, NDArray]:
     """Rank (t,) and columns (t, 27) of all vectors and tensors of a pass."""
-    parts = [_FLOW[name] for level, name in _TO_TURN if layout.level >= level and layout.vector]
-    if layout.level == loops.CUBIC:
+    parts = [_FLOW[name] for level, name in _TO_TURN if run.level >= level and run.vector]
+    if run.level == loops.CUBIC:
         parts.append(_FLOW["cubes"])
-    parts += [own for own, _ in layout.moments.values() if own.ndim and own.min() >= layout.level]
+    parts += [own for own, _ in run.moments.values() if own.ndim and own.min() >= run.level]
     ranks = np.array([part.ndim for part in parts], dtype=int)
     columns = np.array([np.resize(part, 27) for part in parts], dtype=int)
     return ranks, columns.reshape(-1, 27)
