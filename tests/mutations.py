@@ -515,7 +515,7 @@ TABLE = [
         "test_the_accessible_fraction_beside_a_plane_is_a_polynomial",
     ),
     Mutation(
-        "analysis/surfaces.py", "distance.min(axis=0) <= task.within", "distance.min(axis=0) <= 2 * task.within",
+        "analysis/wall_stress.py", "distance.min(axis=0) <= task.within", "distance.min(axis=0) <= 2 * task.within",
         "test_contacts_farther_than_within_are_left_out",
     ),
     Mutation(
@@ -558,7 +558,7 @@ TABLE = [
         "test_errors_of_a_line_through_three_heights",
     ),
     Mutation(
-        "analysis/without_kernel.py", "1 - abs(m) / (sides + 1)", "1 - abs(m) / (sides + 2)",
+        "analysis/slice_temperature.py", "1 - abs(m) / (sides + 1)", "1 - abs(m) / (sides + 2)",
         "test_temperatures_in_planes_equal_a_loop_over_grains",
     ),
     Mutation(

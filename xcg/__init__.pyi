@@ -4,6 +4,7 @@ from . import datasets, readers
 from .accessor import CoarseGrainAccessor
 from .analysis.balance import balance
 from .analysis.bond_order import bond_order
+from .analysis.cell_volumes import cell_volumes
 from .analysis.chain_results import chain_table, link_table, plot_chains, plot_rose
 from .analysis.chain_selection import BoxRegion, Region, Sphere, select_chains
 from .analysis.choose_width import choose_width, plot_width
@@ -17,6 +18,7 @@ from .analysis.diffusion import mean_squared_displacement, velocity_autocorrelat
 from .analysis.displacement import displacement
 from .analysis.find_contacts import find_contacts
 from .analysis.fit_law import fit_law
+from .analysis.flow_rate import flow_rate
 from .analysis.force_chains import force_chains, track_chains
 from .analysis.microstructure import microstructure
 from .analysis.movie import movie
@@ -27,11 +29,11 @@ from .analysis.plots import plot
 from .analysis.principal import plot_principal, principal
 from .analysis.radial_distribution import radial_distribution
 from .analysis.shallow import depth_average, fit_slope, free_surface
+from .analysis.slice_temperature import slice_temperature
 from .analysis.structure_factor import structure_factor
-from .analysis.surfaces import flow_rate, wall_stress
 from .analysis.voronoi import voronoi
+from .analysis.wall_stress import wall_stress
 from .analysis.widths import width_sweep
-from .analysis.without_kernel import cell_volumes, slice_temperature
 from .common.messages import SceneError, SceneWarning
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import coarsen, profile, time_average

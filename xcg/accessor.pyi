@@ -7,6 +7,7 @@ import xarray as xr
 
 from xcg.analysis.balance import balance
 from xcg.analysis.bond_order import bond_order
+from xcg.analysis.cell_volumes import cell_volumes
 from xcg.analysis.chain_results import chain_table, link_table, plot_chains, plot_rose
 from xcg.analysis.chain_selection import select_chains
 from xcg.analysis.choose_width import choose_width, plot_width
@@ -20,6 +21,7 @@ from xcg.analysis.diffusion import mean_squared_displacement, velocity_autocorre
 from xcg.analysis.displacement import displacement
 from xcg.analysis.find_contacts import find_contacts
 from xcg.analysis.fit_law import fit_law
+from xcg.analysis.flow_rate import flow_rate
 from xcg.analysis.force_chains import force_chains, track_chains
 from xcg.analysis.microstructure import microstructure
 from xcg.analysis.movie import movie
@@ -29,11 +31,11 @@ from xcg.analysis.plots import plot
 from xcg.analysis.principal import plot_principal, principal
 from xcg.analysis.radial_distribution import radial_distribution
 from xcg.analysis.shallow import depth_average, fit_slope, free_surface
+from xcg.analysis.slice_temperature import slice_temperature
 from xcg.analysis.structure_factor import structure_factor
-from xcg.analysis.surfaces import flow_rate, wall_stress
 from xcg.analysis.voronoi import voronoi
+from xcg.analysis.wall_stress import wall_stress
 from xcg.analysis.widths import width_sweep
-from xcg.analysis.without_kernel import cell_volumes, slice_temperature
 from xcg.explore.app import explore
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import coarsen, profile, time_average

@@ -11,7 +11,7 @@ from tests import ROOT
 PAGE = (ROOT / "docs" / "cfd_dem.md").read_text()
 
 
-@pytest.mark.slow  # test_cells and test_without_kernel
+@pytest.mark.slow  # test_cells and test_cell_volumes
 def test_the_example_of_the_page_runs():
     names: dict = {}
     for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):

@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.stats.qmc import Sobol
 
 import xcg
-from tests.analysis.test_surfaces import box_surface
+from tests.analysis.test_wall_stress import box_surface
 from xcg.fields import accessible
 from xcg.fields.accessible import LEAST, fraction_at
 

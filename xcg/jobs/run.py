@@ -20,7 +20,7 @@ import dask
 import numpy as np
 import xarray as xr
 
-from xcg.analysis.without_kernel import SliceMethod, slice_temperature
+from xcg.analysis.slice_temperature import SliceMethod, slice_temperature
 from xcg.common.messages import SceneError, unknown
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh

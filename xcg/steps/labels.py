@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from xarray.indexes import PandasIndex
 
 from xcg.common.messages import printable
@@ -84,6 +84,13 @@ def label(
 def annotated(dims: str | Sequence[str], values: Any, units: str, long_name: str) -> xr.Variable:
     """Return values as a variable with their unit and long name."""
     return xr.Variable(dims, values, {"units": units, "long_name": long_name})
+
+
+def place_along(axis: str, nodes: NDArray, system: str) -> xr.Variable:
+    """Return the coordinate of nodes, cells or slices along an axis of a scene of a unit system."""
+    place = annotated(axis, nodes, units_in("m", system), f"position along {axis}")
+    place.attrs["axis"] = axis.upper()
+    return place
 
 
 def labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:

@@ -2,7 +2,7 @@
 
 A wall is a surface with a side where the grains are; normals point to that side. It says which part
 of space is accessible (`xcg.fields.accessible`), and has cells for fields of its stress
-(`xcg.analysis.surfaces`).
+(`xcg.wall_stress`).
 """
 
 from __future__ import annotations
