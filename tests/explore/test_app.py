@@ -354,10 +354,33 @@ def test_texts_need_no_style_of_the_internet():
     assert {type(pane) for pane in panes} == {panel.pane.Bokeh}
 
 
-def test_a_script_is_told_how_to_open_the_page(capsys):
+def test_a_script_that_shows_nothing_is_told_how_to_open_the_page(capsys):
+    pytest.importorskip("panel")
     page = xcg.datasets.random_scene(50, seed=1).cg.explore()
-    assert "ds.cg.explore().show() opens the page" in capsys.readouterr().err
     assert page.numbers is not None
+    assert "show() opens it" in repr(page)
+    assert capsys.readouterr().err == ""
+    page.unseen()  # as when the script ends
+    assert "ds.cg.explore().show() opens it" in capsys.readouterr().err
+
+
+def test_a_script_that_opens_the_page_is_told_nothing(capsys, monkeypatch):
+    app = pytest.importorskip("xcg.explore.app")
+    monkeypatch.setattr(app, "serve", lambda page, port: page())
+    page = xcg.datasets.random_scene(50, seed=1).cg.explore()
+    page.show()
+    page.unseen()
+    assert capsys.readouterr().err == ""
+
+
+def test_notebooks_are_told_that_they_need_no_server():
+    app = pytest.importorskip("xcg.explore.app")
+
+    async def use():
+        with pytest.raises(RuntimeError, match="last line of a cell"):
+            app.Explorer(pictures_of(xcg.datasets.random_scene(50, seed=1))).show()
+
+    asyncio.run(use())
 
 
 def test_the_command_takes_results_that_were_saved(tmp_path, monkeypatch):

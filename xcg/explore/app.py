@@ -8,9 +8,9 @@ import io
 import sys
 import warnings
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import partial
 from typing import Any
+from weakref import finalize
 
 import numpy as np
 import xarray as xr
@@ -33,6 +33,10 @@ SAVE = """
 const figure = map.visible ? map : profile;
 figure.toolbar.tools.find(tool => tool.type == "SaveTool").do.emit("save");
 """
+UNSEEN = (
+    "explore: only notebooks show the explorer by itself; in a script, ds.cg.explore().show() opens it in "
+    "the browser, as the command xcg explore FILES does\n"
+)
 RED = {"background": "#f8d7da", "color": "#58151c"}  # of errors
 YELLOW = {"background": "#fff3cd", "color": "#664d03"}  # of warnings
 GREY = {"background": "#f4f4f4", "color": "#333333"}
@@ -80,12 +84,10 @@ def explore(ds: xr.Dataset) -> Explorer:
     pn = extra("panel", "explore", "explore")
     pn.extension(inline=True)  # without resources of the internet
     pictures = pictures_of(ds)
+    explorer = Explorer(pictures)
     if "ipykernel" not in sys.modules:
-        sys.stderr.write(
-            "explore: only notebooks show widgets; in a script, ds.cg.explore().show() opens the page "
-            "in the browser, as xcg explore FILES does\n"
-        )
-    return Explorer(pictures)
+        explorer.unseen = finalize(explorer, sys.stderr.write, UNSEEN)
+    return explorer
 
 
 class Explorer:
@@ -106,6 +108,8 @@ class Explorer:
         The page.
     message : str
         Error or warnings of the present picture.
+    unseen : weakref.finalize or None
+        Says how to open the page, where it was never opened.
     """
 
     def __init__(self, pictures: Pictures, opened: str = "") -> None:
@@ -113,6 +117,7 @@ class Explorer:
         self.opened = opened
         self._picture: xr.Dataset | None = None
         self.message = ""
+        self.unseen: finalize | None = None
         self._latest = object()  # of the last change
         self._errors_of: Choice | None = None  # that are drawn
         pn = self._pn = extra("panel", "explore", "explore")
@@ -160,8 +165,7 @@ class Explorer:
         self.update()
         for control in self.controls.by_name.values():
             control.param.watch(self._changed, "value")
-        with suppress(RuntimeError):  # a script has no loop, and shows nothing
-            asyncio.get_running_loop()
+        if _loop_runs():
             pn.state.onload(self._draw_errors)
 
     def show(self, port: int = 0) -> None:
@@ -171,8 +175,22 @@ class Explorer:
         ----------
         port : int
             Port at 127.0.0.1; 0 takes a free one.
+
+        Raises
+        ------
+        RuntimeError
+            In a notebook, whose own loop runs.
         """
+        if self.unseen is not None:
+            self.unseen.detach()
+        if _loop_runs():
+            raise RuntimeError(
+                "show is for scripts: a notebook shows the explorer as the last line of a cell, ds.cg.explore()"
+            )
         serve(lambda: Explorer(self.pictures, self.opened).layout, port)
+
+    def __repr__(self) -> str:
+        return "<Explorer: show() opens it in the browser>"  # at the prompt of Python
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
         return self.layout._repr_mimebundle_(include, exclude)
@@ -297,6 +315,15 @@ def _show(div: Any, text: str, colours: dict[str, str]) -> None:
     """Show a text on a ground of its colours; nothing if it is empty."""
     styles = {"padding": "8px", "white-space": "pre-wrap", "box-sizing": "border-box", **colours}
     div.update(text=html.escape(text, quote=False), styles=styles, visible=bool(text))
+
+
+def _loop_runs() -> bool:
+    """Return whether a loop runs, as in notebooks and servers, and not in scripts."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return False
+    return True
 
 
 def _of_errors(choice: Choice) -> Choice:
