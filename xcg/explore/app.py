@@ -242,7 +242,8 @@ class Explorer:
             figure = self.profile
         self.map.figure.visible = figure is self.map
         self.profile.figure.visible = figure is self.profile
-        name = f"{choice.field}_{choice.view}_{choice.time}"
+        part = choice.part.replace(" ", "")
+        name = "_".join(filter(None, (choice.field, part, choice.view, str(choice.time))))
         figure.figure.select_one(self._models.SaveTool).filename = name
         self._table.filename = f"{name}.csv"
         refused = ""
