@@ -176,7 +176,10 @@ def test_every_control_changes_the_page_and_closing_it_ends_the_server(served, c
     page.after(page.page.locator("input[type=checkbox]:visible").nth(0).uncheck)
     page.after(page.choose("arrows", "none"))
     shown = page.page.locator("pre", has_text="coarse_grain").inner_text()
-    assert_colours(page, shown)
+    assert_colours(page, shown, np.asarray)
+    page.after(page.page.locator("input[type=checkbox]:visible").nth(1).check)
+    assert_colours(page, shown, np.log)
+    page.after(page.page.locator("input[type=checkbox]:visible").nth(1).uncheck)
     page.page.get_by_role("button", name="copy").click()
     page.page.get_by_role("button", name="copied").wait_for()
     assert page.page.evaluate("navigator.clipboard.readText()") == shown
@@ -196,7 +199,7 @@ def test_every_control_changes_the_page_and_closing_it_ends_the_server(served, c
     assert process.wait(60) == 0
 
 
-def assert_colours(page, call):
+def assert_colours(page, call, scale):
     """Check colours at three nodes of a map of speeds: between the numbers of the nodes around."""
     palettes = pytest.importorskip("bokeh.palettes")
     image = pytest.importorskip("matplotlib.image")
@@ -204,7 +207,7 @@ def assert_colours(page, call):
     exec(call.rpartition("\nf.cg.plot")[0], names)
     velocity = names["f"]["velocity"].isel(time=0)
     speed = ((velocity**2).sum("component", skipna=False) ** 0.5).transpose("z", "x")
-    numbers = speed.to_numpy()
+    numbers = scale(speed.to_numpy())
     low = np.nanmin(numbers)
     high = np.nanmax(numbers)
     palette = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in palettes.Viridis256])
@@ -250,6 +253,21 @@ def test_the_picture_has_the_numbers_of_the_nodes():
         assert image.max() == 1.0
         assert shown.range == (0.0, 1.0) or shown.range[1] == 1.0
         assert shown.bar.title == "density"
+
+
+def test_slices_of_a_result_are_at_its_nodes():
+    """The first one is that of `plot`: the middle of the axis that is cut."""
+    controls = pytest.importorskip("xcg.explore.controls")
+    widgets = pytest.importorskip("panel").widgets
+    f = xcg.datasets.random_scene(300, seed=2).cg.coarse_grain("density", width=1.0).compute()
+    for count in (1, 4, 5):
+        shown = controls.Controls(pictures_of(f.isel(y=slice(0, count))), widgets)
+        shown.offer()
+        slider = shown.by_name["position"]
+        nodes = f.y[:count].to_numpy()
+        assert shown.choice.axes == ("x", "z")
+        np.testing.assert_allclose(slider.value, nodes[count // 2], rtol=1e-12)
+        np.testing.assert_allclose(slider.start + slider.step * np.arange(count), nodes)
 
 
 def test_a_map_over_r_and_theta_lies_in_the_plane_of_the_circle():

@@ -36,6 +36,7 @@ View: TypeAlias = Literal["map", "slice", "profile"]
 # grains would visit more nodes than this, which takes 0.1 to 0.2 s
 NODES = {"map": 80, "slice": 80, "profile": 160}
 MOST_NODES = 300
+SLICES = 100  # intervals between slices of a scene
 VISITS = 2e6
 REACH = 2.0  # of Lucy's kernel, in widths
 NODES_OF_ERRORS = {"map": 20, "slice": 20, "profile": 80}  # along the longest axis
@@ -166,8 +167,13 @@ class Pictures:
         if len(self.plane) == 2:
             self.views["map"] = [tuple(self.plane)]
         if len(self.plane) == 3:
-            self.views["slice"] = list(combinations(self.plane, 2))
+            self.views["slice"] = self._pairs()
         self.views["profile"] = [(a,) for a in reversed(self.plane)]
+
+    def _pairs(self) -> list[tuple[str, ...]]:
+        """Return the axes of maps: first those of the first and the last axis."""
+        pairs: list[tuple[str, ...]] = list(combinations(self.plane, 2))
+        return sorted(pairs, key=lambda pair: pair != (self.plane[0], self.plane[-1]))
 
     def _labels_of(self, dim: str) -> list[str]:
         if dim not in self.ds.dims:
@@ -205,6 +211,10 @@ class Pictures:
     def range_of(self, axis: str) -> tuple[float, float]:
         """Return the first and last coordinate along an axis."""
         return float(self.ds[axis][0]), float(self.ds[axis][-1])
+
+    def intervals_of(self, axis: str) -> int:
+        """Return the number of intervals between slices along an axis: those between nodes."""
+        return max(1, self.ds.sizes[axis] - 1)
 
     def _read(self, time: int, count: int = 1) -> xr.Dataset:
         """Return steps from a position on, in memory."""
@@ -293,11 +303,9 @@ class ScenePictures(Pictures):
         }
         self.vectors = [name for name in ("velocity",) if name in possible]
         self.axes = self.plane
-        pairs: list[tuple[str, ...]] = list(combinations(self.plane, 2))
-        pairs.sort(key=lambda pair: pair != (self.plane[0], self.plane[-1]))
-        self.views = {"map": pairs}
+        self.views = {"map": self._pairs()}
         if len(self.plane) == 3:
-            self.views["slice"] = pairs
+            self.views["slice"] = self._pairs()
         self.views["profile"] = [(a,) for a in reversed(self.plane)]
         self.by = next((name for name in ("phase", "species") if name in self.ds), None)
         groups = self.scene.values(self.by) if self.by else []
@@ -318,6 +326,9 @@ class ScenePictures(Pictures):
             return self.scene.edges[axis]
         positions = self._step(0)["position"].sel(component=axis)
         return float(positions.min()), float(positions.max())
+
+    def intervals_of(self, axis: str) -> int:  # noqa: D102
+        return SLICES
 
     def _request(self, choice: Choice) -> dict[str, Any]:
         """Return the arguments of `coarse_grain`."""

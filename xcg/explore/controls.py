@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from xcg.common.checks import extra
 from xcg.explore.choices import USUAL_WIDTH, Choice, Pictures
 from xcg.explore.figures import PALETTES
 
@@ -41,6 +42,8 @@ class Controls:
         if "velocity" in next(iter(groups.values())).values():
             first = "velocity"
         last = pictures.steps - 1
+        models = extra("bokeh.models", "explore", "explore")
+        four_digits = models.PrintfTickFormatter(format="%.4g")
         self.search = widgets.TextInput(name="search fields", placeholder="part of a name")
         self.search.param.watch(self._narrow, "value_input")
         self.by_name: dict[str, Any] = {
@@ -61,7 +64,7 @@ class Controls:
                 visible=last > 0,
                 width=300,
             ),
-            "position": widgets.FloatSlider(name="position of the slice", format="0.[0000]"),
+            "position": widgets.FloatSlider(name="position of the slice", format=four_digits),
         }
         if pictures.widths:
             self.by_name["width"] = widgets.DiscreteSlider(
@@ -107,9 +110,10 @@ class Controls:
         if view == "slice":
             low, high = self.pictures.range_of(self.pictures.cut_axis(self.choice))
             if (slider.start, slider.end) != (low, high):
-                slider.param.update(
-                    start=low, end=high, step=(high - low) / 100, value=(low + high) / 2
-                )
+                count = self.pictures.intervals_of(self.pictures.cut_axis(self.choice))
+                step = (high - low) / count
+                middle = low + (count + 1) // 2 * step
+                slider.param.update(start=low, end=high, step=step, value=middle)
         is_map = view != "profile"
         for name in ONLY_MAPS:
             controls[name].visible = is_map

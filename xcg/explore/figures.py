@@ -137,10 +137,12 @@ class Map:
         follow = models.CustomJS(args={"figure": self.figure}, code=FOLLOW)
         self.figure.js_on_change("inner_width", follow)
         self.figure.js_on_change("tags", follow)
-        self._drawn = self.figure.image(
-            **{name: name for name in _EMPTY_IMAGE},
-            source=self.image,
-            color_mapper=self._linear,
+        # an image for each scale: one that got the other's colours would keep its own until new numbers
+        self._linear_image, self._logarithmic_image = (
+            self.figure.image(
+                **{name: name for name in _EMPTY_IMAGE}, source=self.image, color_mapper=mapper
+            )
+            for mapper in (self._linear, self._logarithm)
         )
         self.figure.circle(
             "x",
@@ -171,7 +173,8 @@ class Map:
             )
         )
         hover = models.HoverTool(
-            renderers=[self._drawn], tooltips=[("value", "@image"), ("place", "$x, $y")]
+            renderers=[self._linear_image, self._logarithmic_image],
+            tooltips=[("value", "@image"), ("place", "$x, $y")],
         )
         self.figure.add_tools(hover)
         self.bar = models.ColorBar(color_mapper=self._linear, title_standoff=8)
@@ -237,7 +240,8 @@ class Map:
             low, high, cmap = colours["vmin"], colours["vmax"], colours["cmap"]
         palette = getattr(self._palettes, PALETTES[cmap])
         mapper.update(palette=self._palettes.interp_palette(palette, COLOURS), low=low, high=high)
-        self._drawn.glyph.color_mapper = mapper
+        self._linear_image.visible = not choice.is_logarithmic
+        self._logarithmic_image.visible = choice.is_logarithmic
         self.bar.update(color_mapper=mapper, title=textwrap.fill(label, OF_BAR), visible=True)
         self.range = (low, high)
         return label
