@@ -37,6 +37,7 @@ UNSEEN = (
     "explore: only notebooks show the explorer by itself; in a script, ds.cg.explore().show() opens it in "
     "the browser, as the command xcg explore FILES does\n"
 )
+NARROWEST = 500  # pixels of a picture
 RED = {"background": "#f8d7da", "color": "#58151c"}  # of errors
 YELLOW = {"background": "#fff3cd", "color": "#664d03"}  # of warnings
 GREY = {"background": "#f4f4f4", "color": "#333333"}
@@ -139,7 +140,7 @@ class Explorer:
         self._table = pn.widgets.FileDownload(
             label="numbers (CSV)", callback=self._numbers_as_csv, filename="numbers.csv", width=140
         )
-        wide = {"sizing_mode": "stretch_width", "min_width": 0}
+        wide = {"sizing_mode": "stretch_width", "min_width": NARROWEST}
         self._drawn = [
             *(
                 pn.pane.Bokeh(model, **wide)
@@ -161,6 +162,7 @@ class Explorer:
             ),
             pn.Column(errors, reason, visible=bool(pictures.widths)),
             sizing_mode="stretch_width",
+            styles={"flex-wrap": "wrap"},  # the errors come below in narrow windows
         )
         self.update()
         for control in self.controls.by_name.values():

@@ -29,6 +29,7 @@ BESIDE = 170  # pixels of labels and colour bar
 RATIO = 0.6  # of height to width of a map of an angle and a length
 SIDE = 260  # pixels of the square of errors
 LETTERS = 60  # in a line of a title
+LINE = 19  # pixels of its height
 OF_BAR = 50  # letters in a line beside a colour bar
 COLOURS = 256
 _OF_ERRORS = {"bias": "#1f77b4", "bias with noise": "#1f77b4", "noise": "#ff7f0e", "total": "black"}
@@ -63,9 +64,11 @@ def label_of(value: xr.DataArray, name: str) -> str:
     return drawing.with_unit(text, str(value.attrs.get("units", "")), drawing.unit_in_unicode)
 
 
-def _title(*lines: str) -> str:
-    """Return the text of a title, broken into lines."""
-    return "\n".join(textwrap.fill(line, LETTERS) for line in lines if line)
+def _set_title(figure: Any, *lines: str) -> None:
+    """Set the title of a figure, broken into lines, and make room for them."""
+    text = "\n".join(textwrap.fill(line, LETTERS) for line in lines if line)
+    figure.title.text = text
+    figure.min_border_top = LINE * (1 + text.count("\n"))
 
 
 def _ends_of_logarithm(values: NDArray, name: str, choice: Choice) -> tuple[float, float]:
@@ -220,7 +223,7 @@ class Map:
             figure.tags = [ratio, SHORTEST]
         figure.xaxis.axis_label = label_across
         figure.yaxis.axis_label = label_up
-        figure.title.text = _title(label, place_of(numbers, drawing.unit_in_unicode))
+        _set_title(figure, label, place_of(numbers, drawing.unit_in_unicode))
 
     def _colour(self, numbers: xr.DataArray, choice: Choice) -> str:
         """Set colours and their ends as `plot` has them; return the label of the colour bar."""
@@ -250,7 +253,7 @@ class Map:
         """Draw circles of grains, and write a note about them into the title."""
         self.circles.data = dict(circles)
         if note:
-            self.figure.title.text += f"\n{note}"
+            _set_title(self.figure, *self.figure.title.text.splitlines(), note)
 
     def clear(self) -> None:
         """Draw nothing."""
@@ -345,7 +348,7 @@ class Profile:
             title = "band: one standard error"
         self.figure.legend.visible = bool(others)
         self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = labels
-        self.figure.title.text = _title(place_of(numbers, drawing.unit_in_unicode), title)
+        _set_title(self.figure, place_of(numbers, drawing.unit_in_unicode), title)
 
     def clear(self) -> None:
         """Draw nothing."""
