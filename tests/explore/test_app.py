@@ -240,6 +240,14 @@ def test_a_picture_that_fails_leaves_its_reason_and_no_numbers():
     asyncio.run(use())
 
 
+def test_a_picture_without_numbers_says_so():
+    app = pytest.importorskip("xcg.explore.app")
+    f = xcg.datasets.random_scene(50, seed=1).cg.coarse_grain("velocity", axes="xz", width=1.0)
+    assert "unknown" not in app.Explorer(pictures_of(f)).message
+    page = app.Explorer(pictures_of(f * np.nan))
+    assert page.message == "velocity is unknown (NaN) everywhere in this picture"
+
+
 def test_the_picture_has_the_numbers_of_the_nodes():
     """Also its largest one, whatever the number of nodes."""
     figures = pytest.importorskip("xcg.explore.figures")

@@ -254,6 +254,9 @@ class Explorer:
             try:
                 self._picture = self.pictures.picture(choice)
                 figure.draw(self._picture, choice)
+                if not np.isfinite(self._picture[choice.field]).any():
+                    text = f"{choice.field} is unknown (NaN) everywhere in this picture"
+                    warnings.warn(text, SceneWarning, stacklevel=2)
                 if figure is self.map:
                     self.controls.fix_range(*self.map.range)
                     self._draw_grains(choice)
