@@ -370,7 +370,7 @@ TABLE = [
         "test_a_weak_shear_of_few_grains_is_known_by_its_mean_slope",
     ),
     Mutation(
-        "fields/advice.py", "shares = by_component / np.maximum(normal, mean)", "shares = by_component / normal",
+        "fields/computed_step.py", "shares = by_component / np.maximum(normal, mean)", "shares = by_component / normal",
         "test_few_grains_without_flow_and_a_component_that_is_small_are_silent",
     ),
     Mutation(
@@ -417,22 +417,23 @@ TABLE = [
         "fields/pressures.py", "* rows / every", "* rows", "test_pressures_of_a_crystal_that_fluctuates",
     ),
     Mutation(
-        "fields/advice.py", "share = added / (added + true)", "share = added",
+        "fields/computed_step.py", "share = added / (added + true)", "share = added",
         "test_no_variation_is_named_of_gases_sheared_boxes_and_slow_flows",
     ),
     Mutation(
         "fields/advice.py", "/ support.grains < _BIAS", "< _BIAS", "test_warnings_about_mixtures_name_the_way_out",
     ),
     Mutation(
-        "fields/advice.py", "zip(plan.groups, shares[1:]", "zip(plan.groups, shares[:-1]",
+        "fields/computed_step.py", "zip(plan.groups, shares[1:]", "zip(plan.groups, shares[:-1]",
         "test_the_share_of_unknown_temperatures_is_that_of_the_nodes",
     ),
     Mutation(
-        "fields/advice.py", "2 * math.pi * float(np.median", "float(np.median",
+        "fields/support.py", "2 * math.pi * float(np.median", "float(np.median",
         "test_the_floor_in_rings_is_that_of_the_grains_around_the_axis",
     ),
     Mutation(
-        "fields/advice.py", "if not lost > _CONSIDERABLE * true", "if not 1 / plan.support.grains > _CONSIDERABLE",
+        "fields/computed_step.py", "if not lost > _CONSIDERABLE * true",
+        "if not 1 / plan.support.grains > _CONSIDERABLE",
         "test_one_step_warns_of_the_kinetic_stress_that_it_lacks",
     ),
     Mutation(
@@ -476,7 +477,7 @@ TABLE = [
         "test_friction_of_contacts_with_forces_of_an_exponential_distribution",
     ),
     Mutation(
-        "fields/advice.py", "dimension + 1 - 2 / dimension", "dimension + 1",
+        "fields/support.py", "dimension + 1 - 2 / dimension", "dimension + 1",
         "test_shear_rate_of_independent_velocities",
     ),
     # --- fields ---

@@ -8,6 +8,9 @@ import pytest
 
 import xcg
 from tests import raise_if_dask_computes, truths
+from xcg.fields.plan import make_plan
+from xcg.fields.request import Request
+from xcg.scene.scene import Scene
 
 NAMES = ["friction_coefficient", "inertial_number"]
 
@@ -24,6 +27,36 @@ def said(ds, *args, about="a node sees", **options):
 def mixture(steps):
     """Return an elastic mixture in equilibrium, of sizes 1 and 2."""
     return truths.gas(steps, sizes=(1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"axes": "z", "width": 0.01}, "sees the inside of single grains"),
+        ({"axes": "z", "width": 100.0}, "larger than the scene"),
+        ({"axes": "x", "at": {"z": 50.0}, "width": 1.0}, "outside the box"),
+        ({"axes": "", "width": 1.0}, "no neighbours to differ"),
+        ({"axes": "z", "gradient": "kernel", "kernel": xcg.Gaussian(1.0)}, "leaves the jump out"),
+    ],
+)
+def test_plans_are_made_silently_and_each_call_that_makes_one_warns(options, message):
+    ds = xcg.datasets.random_scene(60, periodic="z")
+    extent = {a: 5.0 for a in "xyz" if a not in options["axes"] and a not in options.get("at", {})}
+    options = {"extent": extent, **options}
+    fields = ["granular_temperature", "velocity_gradient"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        make_plan(Scene(ds), Request(fields, **options))
+    for call in (ds.cg.coarse_grain, ds.cg.explain):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            call(fields, **options)
+        assert sum(message in str(warning.message) for warning in caught) == 1
+
+
+def test_a_mesh_that_is_too_large_for_a_narrow_kernel_names_the_width():
+    with pytest.raises(ValueError, match=r"nodes, more than .*width=0\.0001 is .* of the diameter"):
+        xcg.datasets.random_scene(60).cg.coarse_grain("density", width=1e-4)
 
 
 def test_one_warning_names_all_fields_with_their_floors():

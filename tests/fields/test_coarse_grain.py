@@ -650,7 +650,7 @@ def test_fields_of_a_scene_without_particles():
     assert np.isnan(f.velocity).all()
 
 
-@pytest.mark.filterwarnings("ignore:coarse_grain. no particle is left")
+@pytest.mark.filterwarnings("ignore:no particle is left")
 @pytest.mark.parametrize("none", ["selected", "free"])
 def test_contacts_without_free_particles_add_nothing(none):
     """As where a selection leaves a step without grains, but its contacts; or where all grains are frozen."""

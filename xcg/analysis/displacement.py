@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import check, whole
 from xcg.common.messages import unknown
+from xcg.fields.advice import advise
 from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import CoarseGraining, about
 from xcg.fields.formulas import registry
@@ -369,6 +370,7 @@ def _between_frames(
     scene = Scene(first, made=made, lag=asked.lag)
     request = asked.ask(fields=names, width=asked.width, at=asked.at, for_averages=False)
     plan = make_plan(scene, request)
+    advise(scene, plan)
     analysis = _Displacements(CoarseGraining(plan), asked.lag, box_changes)
     return run(scene, analysis, call=call, on_error=asked.on_error)
 

@@ -9,16 +9,17 @@ from typing import TypeVar
 
 import xarray as xr
 
-from xcg.fields import advice
 from xcg.fields.accessible import accessible_of, check_walls, walls_of, with_accessible
+from xcg.fields.advice import about_width, advise, advise_on_steps
 from xcg.fields.evaluate import CoarseGraining
 from xcg.fields.grids.frames import Cylindrical, check_axis, in_frame
 from xcg.fields.grids.grid import MeshTooLargeError
-from xcg.fields.layout import about_strays, check_size
+from xcg.fields.layout import about_strays, check_size, kernels_of, undercut_size
 from xcg.fields.like import request_like, with_nodes_of
 from xcg.fields.plan import Plan, effective_count, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes
+from xcg.fields.support import text_of_floors
 from xcg.scene.bodies import group_bodies
 from xcg.scene.scene import Scene
 from xcg.scene.sizes import with_measures
@@ -80,15 +81,15 @@ def coarse_grain(scene: Scene, request: Request) -> xr.Dataset:
     >>> f.volume_fraction.dims
     ('time', 'z')
     """
-    return _compute(scene, request, advise=True)
+    return _compute(scene, request, of_steps=True)
 
 
 def answer(scene: Scene, request: Request) -> xr.Dataset:
     """Coarse-grain a scene for functions built on it, without advice on fields of single steps."""
-    return _compute(scene, request, advise=False)
+    return _compute(scene, request, of_steps=False)
 
 
-def _compute(scene: Scene, request: Request, *, advise: bool) -> xr.Dataset:
+def _compute(scene: Scene, request: Request, *, of_steps: bool) -> xr.Dataset:
     check_walls(request)
     named = request.fields is not None
     like = request.like
@@ -110,14 +111,18 @@ def _compute(scene: Scene, request: Request, *, advise: bool) -> xr.Dataset:
         way_out = about_strays(scene)
         if by_sizes:
             way_out = f"check that sizes and positions have one unit; {way_out}"
-        raise ValueError(f"{error}; {way_out}") from None
+        width = min(kernel.width for kernel in kernels_of(scene, request))
+        cause = about_width(scene, width, undercut_size(scene, request, width))
+        raise ValueError("; ".join(filter(None, [str(error), cause, way_out]))) from None
     check_size(
         scene,
         plan.nodes,
         sum(map(math.prod, plan.shapes.values())),
         by_sizes=by_sizes,
     )
-    advice.advise(scene, plan, named=named if advise else None)
+    advise(scene, plan)
+    if of_steps:
+        advise_on_steps(scene, plan, named=named)
     result = run(scene, CoarseGraining(plan), call=call, on_error=request.on_error)
     if request.surfaces is not None:
         result = with_accessible(result, scene, plan, request, walls)
@@ -166,6 +171,7 @@ def explain(scene: Scene, request: Request) -> Plan:
     scene, request = prepare(scene, request)
     request, _ = _in_own_names(scene, request)
     plan = make_plan(scene, request)
+    advise(scene, plan)
     cost = None
     if walls:
         accessible = accessible_of(scene, plan, walls)
@@ -173,7 +179,7 @@ def explain(scene: Scene, request: Request) -> Plan:
     return replace(
         plan,
         effective_count=effective_count(scene, plan),
-        floors=advice.text_of_floors(scene, plan),
+        floors=text_of_floors(scene, plan),
         walls=cost,
     )
 

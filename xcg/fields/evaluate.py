@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import for_each
-from xcg.fields import advice
+from xcg.fields.computed_step import ComputedStep
 from xcg.fields.deposit import Sums
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field
@@ -21,6 +21,7 @@ from xcg.fields.formulas.program import program_for
 from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan
 from xcg.fields.sums.nodes import Block
+from xcg.fields.support import describe_floors
 from xcg.scene.facts import SETUP, extent_text, setup_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
@@ -96,7 +97,7 @@ class CoarseGraining(FrameAnalysis):
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Name the formula, source and floor of each field, and what the scene lacks for it."""
         system = self.plan.setup.unit_system
-        floors = advice.describe_floors(self.plan)
+        floors = describe_floors(self.plan)
         for name in self.plan.fields:
             field = registry.row(name, self.plan.options)
             attrs = about(field, system)
@@ -180,7 +181,7 @@ def _compute_step(
             of_axis = values[along]
             values[nodes.undirected] = np.nan
             values[along] = of_axis
-    advice.ComputedStep(plan, frame, lattice, source, fields, sum(reached), scale).warn()
+    ComputedStep(plan, frame, lattice, source, fields, sum(reached), scale).warn()
 
 
 _CYLINDRICAL: dict[str, dict[str, str]] = {

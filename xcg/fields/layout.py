@@ -10,7 +10,6 @@ from typing import Any, cast
 import numpy as np
 
 from xcg.common.compat import is_in_memory
-from xcg.common.messages import warn_once, warn_user
 from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
@@ -25,7 +24,6 @@ from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, PADDING
 
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
-_WIDE = 300  # largest diameters; a width beyond is in another unit, most likely
 
 
 def nodes_of(scene: Scene, request: Request, kernels: Sequence[Kernel]) -> Nodes:
@@ -164,84 +162,33 @@ def kernels_of(scene: Scene, request: Request) -> list[Kernel]:
     return [kernel_of(kernel, widths[str(g)], scene.sizes, dimension) for g in known]
 
 
-def warn_of_width(
-    width: float, sizes: Mapping[str, float], extent: float, *, of_groups: bool
-) -> None:
-    """Warn of a kernel that sees single grains or is larger than the `extent` of all (m), or of another unit."""
-    if width > _WIDE * sizes.get("dmax", np.inf):
-        warn_once(
-            "width",
-            f"width={width:.4g} is {width / sizes['dmax']:.2g} largest diameters; check the unit of lengths",
-        )
-    elif width > extent > 0 and extent > 2 * sizes.get("dmax", np.inf):
-        warn_once(
-            "width",
-            f"width={width:.4g} is larger than the scene, whose grains extend over {extent:.4g}: fields hardly vary, "
-            "and most of the kernel is outside; check the unit of lengths (the usual choice is 0.75 mean diameters)",
-        )
-    size = undercut_size(width, sizes, of_groups=of_groups)
-    if size:
-        whose = {"d43": "the grains", "dmax": "the largest grains", "dmin": "the smallest grains"}
-        warn_once(
-            "width",
-            f"width={width:.4g} is {width / sizes[size]:.2g} of the diameter of {whose[size]} ({sizes[size]:.4g}): the "
-            "kernel sees the inside of single grains, and no field of a continuum (volume fractions far above 1, "
-            "too few particles per node); the usual choice is 0.75 mean diameters, see the page on width",
-        )
+def undercut_size(scene: Scene, request: Request, width: float) -> str | None:
+    """Return the size beside which a width (m) is so narrow that the kernel sees single grains; None if there is none.
 
-
-def undercut_size(width: float, sizes: Mapping[str, float], *, of_groups: bool) -> str | None:
-    """Return the size beside which a kernel is so narrow that it sees single grains; None if there is none."""
+    `width` is the least one where each group has its own.
+    """
+    sizes = scene.sizes
     compared = ["d43", "dmax"]
-    if of_groups:
+    if isinstance(request.width, Mapping):
         compared = ["dmin"]
     return next((s for s in compared if s in sizes and width < _NARROW * sizes[s]), None)
 
 
-def warn_of_cuts(grid: Nodes, scene: Scene, reach: float) -> None:
-    """Warn of fixed coordinates that lie outside a periodic box."""
-    for a in scene.periods:
-        low, high = scene.edges[a]
-        # grains and cuts of scenes that were shifted, or are not wrapped, are beyond an edge by up
-        # to a period
-        room = high - low + reach
-        beyond = [x for x in grid.cuts.get(a, ()) if not low - room <= x <= high + room]
-        if beyond:
-            warn_once(
-                f"cut along {a}",
-                f"at={{{a!r}: {beyond[0]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
-                f"{a!r}: fields are those of the image inside; check the units of lengths",
-            )
-
-
-def check_differentiable(kernel: Kernel, seen: int) -> None:
-    """Raise ValueError for gradients of a kernel that has none; warn where it jumps."""
+def check_differentiable(kernel: Kernel) -> None:
+    """Raise ValueError for gradients of a kernel that has none."""
     if kernel.code == kinds.HEAVISIDE:
         raise ValueError(
             "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"
         )
-    if kernel.smoothness == 0:
-        warn_once(
-            "kernel of gradients",
-            f"the {kernel.name} kernel is continuous, but its slope jumps at its cutoff: its gradient is exact almost "
-            "everywhere, and the fields made of it jump where a grain comes into reach; take Lucy for smooth ones",
-        )
-    elif not kernel.differentiable:
-        warn_once(
-            "kernel of gradients",
-            f"the {kernel.name} kernel jumps at its cutoff: its gradient leaves the jump out (8 % low for a Gaussian "
-            "cut at 3 w); take Lucy, or gradient='least_squares'",
-        )
 
 
-_MANY = 1000  # nodes a particle, of a mesh that was laid around the particles
-_LARGE = 1_000_000  # nodes, of such a mesh, below which nothing is said
+LARGE = 1_000_000  # nodes, of such a mesh, below which nothing is said
 _LARGEST = 100_000_000  # nodes, of such a mesh, whose width and spacing follow from sizes
 _MIDDLE = 0.98  # share of the particles that the others are compared with
 
 
 def check_size(scene: Scene, grid: Nodes, numbers: int, *, by_sizes: bool = False) -> None:
-    """Compare an automatic mesh, with so many numbers of fields a step, with the memory at hand and the particles.
+    """Raise ValueError unless an automatic mesh, with so many numbers of fields a step, fits into the memory at hand.
 
     Parameters
     ----------
@@ -260,7 +207,7 @@ def check_size(scene: Scene, grid: Nodes, numbers: int, *, by_sizes: bool = Fals
             f"spacing is 0.75 mean diameters (d43 = {scene.sizes.get('d43', np.nan):.4g}): check that sizes and "
             f"positions have one unit, or give width= or spacing=; {about_strays(scene)}"
         )
-    if not grid.fitted or grid.count < _LARGE:
+    if not grid.fitted or grid.count < LARGE:
         return
     ds = scene.ds
     # all steps, or those of the longest chunk of a lazy scene
@@ -272,12 +219,6 @@ def check_size(scene: Scene, grid: Nodes, numbers: int, *, by_sizes: bool = Fals
         raise ValueError(
             f"the automatic mesh has {shown} nodes, and its fields take {needed / 1e9:.3g} GB at once where "
             f"{free / 1e9:.3g} GB are free: {about_strays(scene)}"
-        )
-    particles = max(1, ds.sizes["particle"])
-    if grid.count > _MANY * particles:
-        warn_user(
-            f"the automatic mesh has {shown} nodes, {grid.count / particles:.3g} for each particle: "
-            f"{about_strays(scene)}"
         )
 
 

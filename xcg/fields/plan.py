@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import unknown, warn_once
+from xcg.common.messages import unknown
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import KernelCode
@@ -28,10 +28,7 @@ from xcg.fields.layout import (
     extents_of,
     kernels_of,
     nodes_of,
-    takes_gradient,
     undercut_size,
-    warn_of_cuts,
-    warn_of_width,
 )
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
@@ -87,8 +84,8 @@ class Plan:
         What holds for the whole scene.
     rtol : float
         Promise for the contact stress.
-    is_narrow : bool
-        Whether the kernel is so narrow that it sees single grains; the plan warns of it.
+    undercut : str, optional
+        Size beside which the kernel is so narrow that it sees single grains, such as "d43".
     effective_count : float, optional
         Particles of d43 that a node sees as equals (N_eff) in a packing of the volume fraction
         `DENSE`; None where d43 or the box is not known. Estimated by `explain` alone.
@@ -125,7 +122,7 @@ class Plan:
     depth: float | str | None
     setup: Setup
     rtol: float
-    is_narrow: bool = False
+    undercut: str | None = None
     effective_count: float | None = None
     floors: str | None = None
     named: bool = False
@@ -283,15 +280,11 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     narrowest = min(k.width for k in kernels)
-    of_groups = isinstance(request.width, Mapping)
-    warn_of_width(narrowest, scene.sizes, _extent_of(scene), of_groups=of_groups)
     nodes = nodes_of(scene, request, kernels)
-    if nodes.cuts:
-        warn_of_cuts(nodes, scene, widest.cutoff)
     seen = len(nodes.seen)
     moments = registry.moments_of(names, options)
     if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & moments.keys():
-        check_differentiable(widest, seen)
+        check_differentiable(widest)
     limits = np.zeros(0)
     if rtol and any(moment.over == "branches" for moment in moments.values()):
         limits = gauss_limits(widest, seen, rtol)
@@ -324,7 +317,7 @@ def make_plan(scene: Scene, request: Request) -> Plan:
         depth=scene.layer_depth,
         setup=scene.setup,
         rtol=rtol,
-        is_narrow=undercut_size(narrowest, scene.sizes, of_groups=of_groups) is not None,
+        undercut=undercut_size(scene, request, narrowest),
     )
 
 
@@ -343,14 +336,6 @@ def _required(scene: Scene, names: Sequence[str], options: Options) -> set[str]:
     purpose = f"coarse_grain of {', '.join(lacking)}"
     scene.require(sorted(variables), purpose, instead)
     return variables
-
-
-def _extent_of(scene: Scene) -> float:
-    """Return the largest extent of the grains, or of the box along periodic axes (m); infinity if it is not known."""
-    if scene.corners is None:
-        return math.inf
-    lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
-    return max(*lengths, *scene.periods.values())
 
 
 # --- which fields are meant, which variables they take, and the choices of their algebra ---------------------
@@ -398,14 +383,6 @@ def _fields_and_options(
         names = (*names, *needed_for_averages(names, options))
     if request.for_averages:
         asked = names
-    if options.averaged_gradient == "unknown" and (
-        lost := [name for name in asked if takes_gradient(name, options)]
-    ):
-        warn_once(
-            "unknown gradients",
-            f"{', '.join(lost)}: NaN, as no axis is resolved or fixed, and so the velocity has no neighbours to differ "
-            "from: resolve the axis that it varies along, axes='z' for example, and average the result",
-        )
     return names, asked, options
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tests import ensembles, truths
-from xcg.fields.advice import support_of
 from xcg.fields.formulas import floors
 from xcg.fields.formulas.field import Support
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
+from xcg.fields.support import support_of
 from xcg.scene.scene import Scene
 
 DRAWS = 4000

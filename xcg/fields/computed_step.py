@@ -1,0 +1,240 @@
+"""Warnings about the fields of a computed step that are unknown, impossible, or noise."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.common.messages import active_call, warn_once, warn_user
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.averages import takes_stress_of_step
+from xcg.fields.formulas.doubts import UNKNOWN
+from xcg.fields.plan import Plan
+from xcg.fields.pressures import Pressures, pressures_of
+from xcg.fields.support import floor_text, floors_of
+from xcg.scene.frame import without_frozen
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import COMPONENTS, Frame
+
+_CONSIDERABLE_FLOOR = 0.2  # share of the usual value of a field
+_CONSIDERABLE = 0.05  # share of the pressure
+
+_TURN = threading.Lock()  # so that the first step of several threads warns of all effects
+# means of squared fluctuations
+_TEMPERATURES = (
+    "granular_temperature",
+    "directional_temperature",
+    "d2min",
+    "nonaffine_covariance",
+    "self_diffusion",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ComputedStep:
+    """Fields of one step, and what they were computed from.
+
+    Attributes
+    ----------
+    plan : Plan
+        Plan of the call.
+    frame, lattice, source
+        The step: variables, box, and its name.
+    fields : mapping
+        Arrays (nodes, phases, ...) by name.
+    reached : int
+        Number of nodes that grains reach.
+    scale : float
+        1 / (extents of the averaged axes x thickness of the layer).
+    """
+
+    plan: Plan
+    frame: Frame
+    lattice: Lattice
+    source: str
+    fields: Mapping[str, NDArray]
+    reached: int
+    scale: float
+
+    def warn(self) -> None:
+        """Warn of fields that are unknown, impossible, or far from those of averages; once for each cause."""
+        if self.plan.undercut is None:  # else the call has warned of the cause
+            with _TURN:
+                self._warn()
+
+    def _warn(self) -> None:
+        plan = self.plan
+        call = active_call()
+        effects = self._unknown_temperatures()
+        # extent=1 m asks for an integral in place of an average: no warning
+        if "volume_fraction" in self.fields and 1.0 not in plan.extent.values():
+            effects |= self._fraction()
+        if plan.support is not None and call.is_new("pressures"):
+            effects |= self._lost_stress()
+        if plan.support is not None and (plan.named or effects):
+            effects |= self._floors()
+        texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
+        if not texts:
+            return
+        seen = "too few grains"
+        if plan.support is not None:
+            seen = f"only about {plan.support.text()}"
+        warn_user(
+            f"{self.source}: a node sees {seen}, so that in a single step {'; '.join(texts)}: take the time_average of "
+            f"the result, average along axes (axes=), or increase width= (it is {plan.kernel.width:.3g})"
+        )
+
+    def _floors(self) -> dict[str, str]:
+        """Return which norms and eigenvalues are noise, unless all are small."""
+        assert self.plan.support is not None
+        texts = [
+            f"{name} is about {floor_text(self.plan, name, floor)}"
+            for name, (floor, usual) in floors_of(self.plan, self.plan.support).items()
+            if floor > _CONSIDERABLE_FLOOR * usual
+        ]
+        if not texts:
+            return {}
+        return {"floors": f"{', '.join(texts)} where the true value is 0"}
+
+    def _unknown_temperatures(self) -> dict[str, str]:
+        """Return which temperatures are NaN at most nodes, or at many nodes of a phase."""
+        plan = self.plan
+        effects: dict[str, str] = {}
+        if plan.options.temperature == "biased":
+            return effects
+        for name in (name for name in _TEMPERATURES if name in self.fields):
+            values = self.fields[name]
+            known = np.count_nonzero(np.isfinite(values.reshape(len(values), -1)[:, 0]))
+            if 2 * known < self.reached:
+                effects[name] = f"{name} is NaN at {self.reached - known} of {self.reached} nodes"
+        if not plan.named or plan.options.temperature != "mixture" or "density" not in self.fields:
+            return effects
+        reached = self.fields["density"] > 0
+        count = np.maximum(reached.sum(axis=0), 1)
+        for name in ("granular_temperature", "mixture_temperature"):
+            if name not in self.fields:
+                continue
+            lost = reached & ~np.isfinite(self.fields[name])
+            shares = lost.sum(axis=0) / count
+            phases = [
+                f"{100 * share:.0f} % of the nodes of phase {group}"
+                for group, share in zip(plan.groups, shares[1:], strict=True)
+                if share > UNKNOWN
+            ]
+            if phases:
+                effects[f"{name} of phases"] = (
+                    f"{name} is NaN, as its error is larger, at {' and '.join(phases)}"
+                )
+        return effects
+
+    def _fraction(self) -> dict[str, str]:
+        """Return where the volume fraction is above 1 as one grain fills a node; warn if that is not the cause."""
+        fraction = self.fields["volume_fraction"]
+        if not fraction.max(initial=0.0) > 1.0:
+            return {}
+        node = int(fraction.max(axis=1).argmax())
+        grid = self.plan.nodes
+        index = dict(zip(grid.dims, np.unravel_index(node, grid.sizes), strict=True))
+        at_node = []
+        for name, coord in grid.coords.items():
+            value = float(coord.isel({dim: index[str(dim)] for dim in coord.dims}))
+            at_node.append(f"{name} = {value:.4g}")
+        place = ", ".join(at_node) or "the only node"
+        largest = self.frame["volume"].max(initial=0.0) * self.scale
+        kernel = self.plan.kernel
+        alone = largest * float(kernel.value(np.zeros(1), int(grid.active.sum()))[0])
+        text = f"the volume fraction is {fraction.max():.3g} at {place}"
+        if alone > 0.5:
+            cause = (
+                f"as the kernel is narrower than the largest grains, one of which alone adds up to {alone:.3g} (by= "
+                "and width={group: width} give each group its own)"
+            )
+            return {"volume fraction": f"{text}, {cause}"}
+        diameter = (6 / np.pi * self.frame["volume"].max(initial=0.0)) ** (1 / 3)
+        if kernel.dimension == 3 and kernel.cutoff < diameter:
+            cause = (
+                f"as the kernel, which ends at {kernel.cutoff:.3g}, is narrower than the grains of {diameter:.3g}: it "
+                "sees layers of centres (cell_volumes has exact volumes)"
+            )
+            return {"volume fraction": f"{text}, {cause}"}
+        warn_once(
+            "volume fraction",
+            f"{self.source}: {text}: grains overlap, or their sizes, or the length of an average (extent=, "
+            "thickness=), are not right",
+        )
+        return {}
+
+    def _lost_stress(self) -> dict[str, str]:
+        """Return how much of the pressure the kinetic stress lacks; warn if it adds what is no fluctuation.
+
+        It lacks what the velocity at a node takes, as that follows the few grains there; it adds the
+        variation of the flow within what a node sees. Without contacts the pressure is not known, and
+        shares are those of the kinetic stress itself, where it was asked for by name.
+        """
+        plan = self.plan
+        assert plan.support is not None
+        has_contacts = "contact_i" in self.frame
+        options = plan.options
+        taking = [
+            name
+            for name in plan.asked
+            if takes_stress_of_step(registry.row(name, options), options)
+        ]
+        free = without_frozen(self.frame)
+        if not taking or not len(free["mass"]) or not (has_contacts or plan.named):
+            return {}
+        parts = pressures_of(plan, free, self.lattice)
+        usual = [name for name in ("kinetic_stress", "stress", "pressure") if name in taking]
+        names = ", ".join(usual or taking[:1])
+        whole = "the pressure" if has_contacts else "it"
+        kinetic = float(parts.kinetic.sum())
+        true = kinetic + max(float(parts.contact.sum()), 0.0)
+        self._warn_of_variation(parts, true, names, whole)
+        lost = kinetic / plan.support.grains
+        if not lost > _CONSIDERABLE * true:
+            return {}
+        verb = "lack" if ", " in names else "lacks"
+        share = f"about {100 * lost / true:.0f} % of {whole}"
+        return {
+            "lost stress": f"{names} {verb} {share}, as the velocity at a node follows these grains"
+        }
+
+    def _warn_of_variation(self, parts: Pressures, true: float, names: str, whole: str) -> None:
+        """Warn where a considerable part of the pressure is no fluctuation but the variation of the flow.
+
+        Of tensors it is also the part of a normal stress, or of the mean one, whichever is larger:
+        a stress that is small beside the others is of no weight in their ratios.
+        """
+        by_component = parts.smeared + sum(parts.averaged.values())
+        added = float(by_component.sum())
+        if not added:
+            return
+        share = added / (added + true)
+        if {"kinetic_stress", "stress"} & {*self.plan.asked}:
+            normal = by_component + parts.kinetic + np.maximum(parts.contact, 0.0)
+            mean = (added + true) / self.plan.options.dimension
+            shares = by_component / np.maximum(normal, mean)
+            largest = int(shares.argmax())
+            if shares[largest] > share:
+                share = float(shares[largest])
+                whole = f"the component {2 * COMPONENTS[largest]}"
+        if not share > _CONSIDERABLE:
+            return
+        hidden = "".join(a for a, part in parts.averaged.items() if part.sum() > 0.3 * added)
+        where = "within the support of the kernel"
+        way_out = (
+            f"decrease width= (it is {self.plan.kernel.width:.3g}); the kinetic part without it is density times the "
+            "granular temperature"
+        )
+        if hidden:
+            where = f"along {' and '.join(hidden)}, which fields are averaged over"
+            way_out = f"resolve {' and '.join(hidden)} too (axes=), and average after"
+        warn_once(
+            "variation of the flow",
+            f"{self.source}: {names}: about {100 * share:.0f} % of {whole} is no fluctuation but the "
+            f"variation of the flow {where}: {way_out}",
+        )

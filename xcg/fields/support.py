@@ -1,0 +1,123 @@
+"""Effective numbers of the grains that a node sees, and the values that fields of single steps show by them alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.averages import second_moment, squared_integral
+from xcg.fields.formulas.field import Support
+from xcg.fields.plan import Plan
+from xcg.fields.sums.kernels import Kernel
+from xcg.scene.scene import Scene
+
+
+def text_of_floors(scene: Scene, plan: Plan) -> str | None:
+    """Return the floors of the requested fields in words, None where no field has one."""
+    support = support_of(scene, plan)
+    if support is None:
+        return None
+    floors = floors_of(plan, support)
+    if not floors:
+        return None
+    values = ", ".join(
+        f"{name} {floor_text(plan, name, floor)}" for name, (floor, _) in floors.items()
+    )
+    return f"{values} in one step where the true value is 0, from {support.text()} at a node"
+
+
+def describe_floors(plan: Plan) -> dict[str, str]:
+    """Return the floor of each requested field that has one, in words, for its attributes."""
+    if plan.support is None:
+        return {}
+    return {
+        name: f"about {floor_text(plan, name, floor)} where the true value is 0"
+        for name, (floor, _) in floors_of(plan, plan.support).items()
+    }
+
+
+def floor_text(plan: Plan, name: str, floor: float) -> str:
+    """Return a floor with its unit."""
+    return f"{floor:.2g} {registry.row(name, plan.options).floor_units}".rstrip()
+
+
+def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, float]]:
+    """Return floor and usual value of each requested field that has a floor."""
+    floors = {}
+    for name in plan.asked:
+        row = registry.row(name, plan.options)
+        if row.floor is not None:
+            floors[name] = row.floor(support), row.usual
+    return floors
+
+
+def support_of(scene: Scene, plan: Plan) -> Support | None:
+    """Return the effective numbers of a node, of grains that fill their extent evenly.
+
+    None for widths by group, whose weights are not those of one kernel, and where sizes, extent or
+    the box are not known. Of the rings of a cylinder it is that of the middle one.
+    """
+    grid = plan.nodes
+    count = scene.ds.sizes.get("particle", 0)
+    other_weights = len(plan.cutoffs) > 1
+    size = scene.sizes.get("d43", np.nan)
+    filled = _extent(scene, size)
+    lengths = [
+        length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()
+    ]
+    if other_weights or not count or not np.isfinite([filled, *lengths]).all():
+        return None
+    d = scene.setup.dimension
+    seen = len(grid.seen)
+    if scene.cylindrical and "theta" not in grid.coords:
+        seen -= 1
+        lengths.append(2 * math.pi * float(np.median(grid.coords["r"])))
+    # in a unit of the space that the kernel sees
+    number = count / filled * math.prod(lengths)
+    partners = 2 * scene.ds.sizes.get("contact", 0) / count
+    grains = max(1.0, number / squared_integral(plan.kernel, seen))
+    share = {2: math.pi / 4, 3: math.pi / 6}[d] * size**d * count / filled
+    return Support(
+        grains=grains,
+        contacts=max(1.0, grains * partners / 2),
+        partners=partners,
+        dimension=d,
+        slope=_slope(plan.kernel, seen, d, number) * size,
+        volume_fraction=share,
+    )
+
+
+def _extent(scene: Scene, size: float) -> float:
+    """Return the volume (in a layer the area) of the box around the grains; NaN where it is not known."""
+    box = math.prod(length_along(scene, a, size) for a in scene.setup.plane)
+    if scene.cylindrical and not {"x", "y"} & scene.periods.keys():
+        return box * math.pi / 4  # a disc in its square
+    return box
+
+
+def length_along(scene: Scene, axis: str, size: float) -> float:
+    """Return the period along an axis, or the extent of the grains; NaN where it is not known."""
+    if axis in scene.periods:
+        return scene.periods[axis]
+    if scene.corners is None:
+        return np.nan
+    k = "xyz".index(axis)
+    return scene.corners[1][k] - scene.corners[0][k] + size
+
+
+def _slope(kernel: Kernel, seen: int, dimension: int, number: float) -> float:
+    """Root mean square of |dev Gamma| of independent velocities with the variance 1 along each axis (m^-1).
+
+    Each of the components of the gradient along the axes that are seen has the variance
+    ``S = int Psi^2 x^2 / n (int Psi x^2)^2``, of n grains in a unit of what the kernel sees.
+    """
+    if not seen:
+        return 0.0
+    r, step = np.linspace(0.0, kernel.cutoff, 2001, retstep=True)
+    shells = {1: 2.0 * r**2, 2: np.pi * r**3, 3: 4 / 3 * np.pi * r**4}[seen]
+    psi = kernel.value(r, seen)
+    squares = np.trapezoid(psi**2 * shells, dx=step)
+    components = seen * (dimension + 1 - 2 / dimension)
+    return math.sqrt(float(squares) * components / number) / second_moment(kernel, seen)
