@@ -135,7 +135,7 @@ TABLE = [
         "test_units_of_arrays_are_converted",
     ),
     Mutation(
-        "scene/superquadrics.py", "beta(e1 / 2 + 1, e1)", "beta(e1 / 2, e1)",
+        "scene/complete.py", "beta(e1 / 2 + 1, e1)", "beta(e1 / 2, e1)",
         "test_axes_of_superquadrics_are_those_of_the_code_whose_columns_they_are",
     ),
     Mutation(

@@ -13,8 +13,7 @@ import xcg
 from tests.benchmarks import series
 from xcg.fields.sums import segments
 from xcg.scene.complete import complete_particles
-from xcg.scene.frame import stack
-from xcg.scene.rows import rows_of
+from xcg.scene.frame import rows_of, stack
 from xcg.scene.schema import Setup
 
 FEW, MANY = 4, 32

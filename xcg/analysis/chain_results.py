@@ -26,9 +26,8 @@ from xcg.common.messages import SceneError
 from xcg.scene.conform import conform, with_components
 from xcg.scene.contacts import Contacts
 from xcg.scene.facts import require_facts
-from xcg.scene.frame import frame_at, particle_rows, step_at, with_time
+from xcg.scene.frame import frame_at, particle_rows, rows_of, step_at, with_time
 from xcg.scene.lattice import Lattice
-from xcg.scene.rows import rows_of
 from xcg.scene.scene import Scene
 from xcg.scene.schema import BOX, COMPONENTS, CONTACT_VARIABLES, PADDING, VARIABLES, Frame, Variable
 from xcg.scene.summary import Summary, rows_of_origin

@@ -18,8 +18,8 @@ from xcg.analysis.voronoi import voronoi
 from xcg.common.messages import unknown
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
+from xcg.scene.frame import rows_of
 from xcg.scene.lattice import Lattice
-from xcg.scene.rows import rows_of
 from xcg.scene.scene import Scene
 from xcg.scene.schema import CONTACT_VARIABLES, VARIABLES, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run

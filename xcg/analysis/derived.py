@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from xcg.common.checks import POSITIVE, axis_vector, check, is_positive
 from xcg.common.messages import SceneError
 from xcg.scene.box import BoxMotion
+from xcg.scene.complete import superquadric_integrals
 from xcg.scene.conform import takes_scene
-from xcg.scene.rows import rows_of
+from xcg.scene.frame import rows_of
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, MOTION, VARIABLES, Variable, units_in
-from xcg.scene.superquadrics import superquadric_integrals
 from xcg.scene.times import require_times
 from xcg.steps.analysis import FrameAnalysis, Step, run
 

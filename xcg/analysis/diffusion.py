@@ -17,8 +17,7 @@ from xcg.common.messages import plain
 from xcg.fields.formulas.block_errors import block_errors
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import takes_scene
-from xcg.scene.frame import phase_of, steps_in, without_frozen
-from xcg.scene.rows import rows_of
+from xcg.scene.frame import phase_of, rows_of, steps_in, without_frozen
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, units_in
 from xcg.scene.times import evenly_spaced, require_known_times

@@ -15,8 +15,7 @@ from xcg.compiled._jit import threads_for
 from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import require_steps
-from xcg.scene.lattice import Lattice
-from xcg.scene.rows import unit_vectors
+from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.scene import Scene
 from xcg.scene.schema import Frame, Variable, variable
 from xcg.scene.spheres import warn_of_coincident

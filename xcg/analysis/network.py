@@ -17,7 +17,7 @@ from xcg.compiled.contacts import join_clusters
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import frame_at, step_at
-from xcg.scene.rows import unit_vectors
+from xcg.scene.lattice import unit_vectors
 from xcg.scene.scene import Scene
 from xcg.scene.schema import Frame
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from xcg.fields.formulas.averages import second_moment
 from xcg.fields.plan import Plan
 from xcg.scene.contacts import Contacts
+from xcg.scene.frame import rows_of
 from xcg.scene.lattice import Lattice
-from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, Frame
 
 _SAMPLED = 2_000  # grains and contacts of a step from which its pressures are estimated

@@ -28,8 +28,8 @@ from xcg.readers.report import check_plane, list_not_read, report_missing_ids, w
 from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.conform import ROW_NUMBERS
-from xcg.scene.lattice import Lattice
-from xcg.scene.rows import rows_of, unit_vectors
+from xcg.scene.frame import rows_of
+from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.schema import Frame, Setup, periodic_axes
 from xcg.scene.times import seconds_between, without_noise
 

@@ -21,7 +21,7 @@ from xcg.readers.wall_columns import WALL_ARRAY, WALL_CONTACTS
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls
-from xcg.scene.rows import rows_of
+from xcg.scene.frame import rows_of
 from xcg.scene.schema import COMPONENTS
 
 # the module's constants LMP_STYLE_ATOM, LMP_STYLE_LOCAL and LMP_TYPE_ARRAY

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.scene.conform import in_whole_rows, takes_scene
 from xcg.scene.facts import SETUP
-from xcg.scene.frame import steps_in
+from xcg.scene.frame import rows_of, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.measure import measure
-from xcg.scene.rows import rows_of
 from xcg.scene.scene import Scene
 from xcg.scene.schema import BOX, OF_STEP, units_in, variable
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, warn_once, warn_user
+from xcg.scene.frame import rows_of
 from xcg.scene.lattice import Lattice, same_vectors
-from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, Frame
 
 _BOX_FORMS = "six numbers as [[x0, x1], [y0, y1], [z0, z1]], or a mapping {'x': (x0, x1), ...}"

@@ -12,11 +12,11 @@ from xcg.common import memory
 from xcg.common.messages import SceneError, warn_once
 from xcg.compiled._jit import for_each
 from xcg.compiled.contacts import share_of_i, touching_points
+from xcg.scene.frame import rows_of
 from xcg.scene.gaps import are_single_spheres, warn_of_gaps
-from xcg.scene.lattice import Lattice
+from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.normals import checked_normals
 from xcg.scene.repeats import without_repeats
-from xcg.scene.rows import rows_of, unit_vectors
 from xcg.scene.schema import COMPONENTS, LONGEST, SHORTEST, Frame, Setup, powers_of, variable
 from xcg.scene.spheres import (
     SAME_BRANCH,
@@ -25,7 +25,6 @@ from xcg.scene.spheres import (
     nearest_branches,
     warn_of_coincident,
 )
-from xcg.scene.superquadrics import superquadric_integrals
 
 # What readers say of contacts besides variables of the scene.
 HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")
@@ -319,6 +318,19 @@ def _diameter_of(volume: NDArray, setup: Setup) -> NDArray:
 
 
 _SUPERQUADRIC = {"exponent_1", "exponent_2", *(f"half_axis_{axis}" for axis in COMPONENTS)}
+
+
+def superquadric_integrals(n1: Any, n2: Any) -> tuple[Any, Any, Any]:
+    """Return the volume over abc, and the integrals of x^2 over a^3bc and of z^2 over abc^3, of superquadrics."""
+    from scipy.special import beta  # slow to import
+
+    e1 = 2.0 / n1
+    e2 = 2.0 / n2
+    return (
+        2 * e1 * e2 * beta(e1 / 2 + 1, e1) * beta(e2 / 2, e2 / 2),
+        0.5 * e1 * e2 * beta(1.5 * e2, e2 / 2) * beta(e1 / 2, 2 * e1 + 1),
+        2 * e1 * e2 * beta(e2 / 2, e2 / 2 + 1) * beta(1.5 * e1, e1 + 1),
+    )
 
 
 def _volume_from_shape(frame: Frame, setup: Setup) -> NDArray | None:

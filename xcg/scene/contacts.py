@@ -18,9 +18,9 @@ from xcg.compiled._jit import for_parts
 from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
 from xcg.scene.conform import takes_scene
-from xcg.scene.lattice import Lattice
+from xcg.scene.frame import rows_of
+from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.repeats import repeated_pairs
-from xcg.scene.rows import rows_of, unit_vectors
 from xcg.scene.sanity_contacts import check_contacts
 from xcg.scene.scene import Scene
 from xcg.scene.schema import PADDING, Frame

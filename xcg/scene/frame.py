@@ -119,6 +119,22 @@ def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
     return rows
 
 
+def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
+    """Return the row of each wanted id among sorted ids (n,), -1 where it is not there.
+
+    This is `wanted` itself where ids are 0, 1, 2, ...
+    """
+    if not len(ids):
+        return np.full(len(wanted), -1)
+    has_gaps = ids[-1] - ids[0] + 1 != len(ids)
+    if not has_gaps:  # nothing to search for
+        row = wanted - ids[0] if ids[0] else wanted
+        known = (row >= 0) & (row < len(ids))
+        return row if known.all() else np.where(known, row, -1)
+    row = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+    return np.where(ids[row] == wanted, row, -1)
+
+
 def frame_of(
     arrays: Mapping[str, NDArray],
     t: int,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
-from xcg.scene.rows import rows_of
+from xcg.scene.frame import rows_of
 from xcg.scene.schema import Frame
 from xcg.scene.spheres import Pairs, SphereContacts
 

@@ -514,3 +514,9 @@ def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -
     for k in np.flatnonzero(np.isfinite(period)):
         image[:, k] -= period[k] * np.rint(away[:, k] / period[k])
     return image
+
+
+def unit_vectors(vector: NDArray) -> NDArray:
+    """Return vectors (n, 3) over their lengths; zero where these are zero."""
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    return np.divide(vector, length, out=np.zeros_like(vector), where=length > 0)

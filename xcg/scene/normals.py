@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_once
-from xcg.scene.rows import unit_vectors
+from xcg.scene.lattice import unit_vectors
 from xcg.scene.spheres import SphereContacts
 
 _LENGTH = 1e-3  # difference of the length of a unit vector from 1

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_once
-from xcg.scene.lattice import Lattice
-from xcg.scene.rows import rows_of, unit_vectors
+from xcg.scene.frame import rows_of
+from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.schema import Frame, Sides
 
 # Rows of one pair are copies where their forces, and their points, differ by no more than this

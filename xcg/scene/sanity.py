@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_user
+from xcg.scene.complete import superquadric_integrals
+from xcg.scene.frame import rows_of
 from xcg.scene.lattice import Lattice
-from xcg.scene.rows import rows_of
 from xcg.scene.schema import COMPONENTS, Frame, Setup
-from xcg.scene.superquadrics import superquadric_integrals
 
 FEW = 20  # grains or contacts that are too few for a verdict
 _SAMPLE = 4096  # rows looked at, spread over all

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
+from xcg.scene.frame import rows_of
 from xcg.scene.lattice import Lattice
-from xcg.scene.rows import rows_of
 from xcg.scene.sanity import FEW, sample_of
 from xcg.scene.schema import Frame
 
