@@ -512,6 +512,10 @@ TABLE = [
         "scene/phases.py", "return 0.0  # one", "return 1.0  # one", "test_few_grains_of_two_sizes_are_two_phases",
     ),
     Mutation(
+        "fields/like.py", "/ (nodes.size - 1)", "/ nodes.size",
+        "test_the_mesh_of_the_first_step_holds_for_all",
+    ),
+    Mutation(
         "fields/accessible.py", "0.5 + np.sign(distance) * between", "0.5 - np.sign(distance) * between",
         "test_the_accessible_fraction_beside_a_plane_is_a_polynomial",
     ),
@@ -875,10 +879,6 @@ TABLE = [
     Mutation(
         "writers/formats.py", "at = min(len(view), self._end - place)", "at = 0",
         "test_a_file_comes_to_the_state_after_the_last_task",
-    ),
-    Mutation(
-        "writers/record.py", "float(x[-1] - x[0]) / (len(x) - 1)", "float(x[-1] - x[0]) / len(x)",
-        "test_the_mesh_of_the_first_step_holds_for_all",
     ),
     # --- jobs ---
     Mutation(

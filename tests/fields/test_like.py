@@ -47,6 +47,17 @@ def test_nodes_of_a_reversed_result_are_the_same():
     xr.testing.assert_equal(again, f)
 
 
+@pytest.mark.parametrize("mesh", [{"bounds": {"x": (0.5, 0.5)}}, {"spacing": {"x": 9.0, "z": 0.5}}])
+def test_one_node_along_an_axis_is_a_pattern(mesh):
+    """Also where that node fills the period, which derivatives and averages know."""
+    ds = xcg.datasets.random_scene(60, seed=3)
+    f = ds.cg.coarse_grain("velocity_gradient", axes="xz", width=0.5, **mesh)
+    assert f.sizes["x"] == 1
+    again = ds.cg.coarse_grain("velocity_gradient", like=f)
+    xr.testing.assert_identical(again.drop_attrs(), f.drop_attrs())
+    assert again.attrs["wrapped_axes"] == f.attrs["wrapped_axes"]
+
+
 def test_results_of_other_scenes_have_the_same_nodes():
     """Other extents and sizes would lay other nodes, and the difference would be empty."""
     a = xcg.datasets.random_scene(200, seed=1, periodic="")

@@ -63,6 +63,7 @@ def test_sums_of_bodies_equal_those_of_their_spheres():
     expected = np.outer([-2.0, 1, 0], [-0.05 - 1.2, 0, 0]) + np.outer([0, 0, 4.0], [0, 0, 0.3])
     np.testing.assert_allclose(total, expected, atol=1e-6)
     named = ds.cg.coarse_grain("density", by_body="body_id", **options)
+    assert "by_body='body_id'" in named.attrs["history"]
     np.testing.assert_array_equal(named.density, both[1].density)
     assert "group_bodies('body_id')" in named.attrs["history"]
     assert bodies.attrs["dmax"] == pytest.approx(0.6 * np.cbrt(2))

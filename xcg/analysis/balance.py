@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from xcg.fields.coarse_grain import answer, prepare
+from xcg.fields.coarse_grain import answer, planned, prepare
 from xcg.fields.grids.frames import refuse_cylindrical
-from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, units_in
@@ -242,20 +241,20 @@ def balance(scene: Scene, asked: BalanceRequest) -> xr.Dataset:
     if asked.by:
         fields |= dict.fromkeys(OF_PHASES)
     request = asked.ask(fields=[*fields], width=asked.width, for_averages=False)
-    plan = make_plan(scene, request)
-    grid = plan.nodes
-    if not grid.axes:
+    plan = planned(scene, request)
+    nodes = plan.nodes
+    if not nodes.axes:
         raise ValueError(
             "balance takes differences between nodes: resolve an axis at least, such as axes='z'"
         )
-    short = [a for a, size in zip(grid.dims, grid.sizes, strict=True) if size < 5]
+    short = [a for a, size in zip(nodes.dims, nodes.sizes, strict=True) if size < 5]
     if short:
         raise ValueError(
             f"axes {short} have fewer than five nodes, which differences take; lower spacing="
         )
     if any(law.rate for law in laws.values()):
         require_times(ds, "balance")
-    f = answer(scene, request)
+    f = answer(scene, request, plan)
     wraps = {a for a, wrapped in zip(COMPONENTS, plan.options.wrapped, strict=True) if wrapped}
 
     def divergence(field: xr.DataArray) -> xr.DataArray:
@@ -263,7 +262,7 @@ def balance(scene: Scene, asked: BalanceRequest) -> xr.Dataset:
         if "direction" in field.dims:
             dim = "direction"
         parts = [
-            _derivative(field.sel({dim: a}, drop=True), a, wraps=a in wraps) for a in grid.axes
+            _derivative(field.sel({dim: a}, drop=True), a, wraps=a in wraps) for a in nodes.axes
         ]
         return sum(parts[1:], start=parts[0])
 

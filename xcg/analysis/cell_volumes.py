@@ -111,7 +111,7 @@ def cell_volumes(
         axes = setup.plane
     call = call_of("cell_volumes", {"spacing": spacing, "axes": axes, "by": by})
     largest = 0.5 * scene.sizes.get("dmax", 0.0)
-    grid = make_grid(
+    cells = make_grid(
         axes,
         {},
         bounds or {},
@@ -122,11 +122,11 @@ def cell_volumes(
         period=scene.periods,
         cells=True,
     )
-    if loose := [a for a in grid.averaged if a not in scene.edges]:
+    if loose := [a for a in cells.averaged if a not in scene.edges]:
         raise ValueError(
             f"cells reach through the box along {loose}, and the scene has no finite box there: name them in axes="
         )
-    analysis = _CellShares(grid, scene.layer_depth, by=by, groups=groups)
+    analysis = _CellShares(cells, scene.layer_depth, by=by, groups=groups)
     return run(scene, analysis, call=call, on_error=on_error)
 
 
@@ -137,7 +137,7 @@ class _CellShares(PhaseAnalysis):
     name = "cell_volumes"
     optional = ("velocity", "frozen")
 
-    grid: Nodes
+    cells: Nodes
     depth: float | str | None
 
     def reads(self, scene: Scene) -> list[str]:
@@ -146,7 +146,7 @@ class _CellShares(PhaseAnalysis):
 
     def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the fields on the cells, with velocity where the scene has one."""
-        dims = self.grid.dims
+        dims = self.cells.dims
         if self.by is not None:
             dims = (*dims, "phase")
         return {
@@ -158,10 +158,10 @@ class _CellShares(PhaseAnalysis):
     def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return the centres of the cells, and the phases."""
         system = self.setup.unit_system
-        nodes = {
-            a: place_along(a, nodes.to_numpy(), system) for a, nodes in self.grid.coords.items()
+        centres = {
+            a: place_along(a, coord.to_numpy(), system) for a, coord in self.cells.coords.items()
         }
-        return nodes | super().coords(scene)
+        return centres | super().coords(scene)
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
         """Compute the fields of one step."""
@@ -169,7 +169,7 @@ class _CellShares(PhaseAnalysis):
         sums = np.moveaxis(sums, 0, -2)
         if self.by is None:
             sums = sums[..., 0, :]
-        sums = sums.reshape(*self.grid.sizes, *sums.shape[3:])
+        sums = sums.reshape(*self.cells.sizes, *sums.shape[3:])
         results = {
             "volume_fraction": sums[..., 1],
             "void_fraction": 1.0 - sums[..., 1],
@@ -184,14 +184,14 @@ class _CellShares(PhaseAnalysis):
 
     def _sums(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
         """Return sums of one step per volume of a cell, (groups, nx, ny, nz, columns)."""
-        grid = self.grid
+        cells = self.cells
         some, phase = self.moving(frame, source)
         position = some["position"]
         diameter = some["diameter"]
         radius = diameter / 2
-        for a in grid.fitted:
+        for a in cells.fitted:
             k = COMPONENTS.index(a)
-            warn_beyond(a, position[:, k], grid.lower[k], grid.upper[k], source, room=radius)
+            warn_beyond(a, position[:, k], cells.lower[k], cells.upper[k], source, room=radius)
         volume = some["volume"]
         momentum = some["mass"][:, None] * some.get("velocity", np.zeros_like(position))
         values = np.column_stack([np.ones(len(position)), volume, some["mass"], momentum])
@@ -199,22 +199,22 @@ class _CellShares(PhaseAnalysis):
         of_spheres = np.pi / 6 * diameter**3
         if self.setup.dimension == 2 and not np.allclose(volume, of_spheres, _SPHERE, atol=0.0):
             (across,) = {0, 1, 2} - set(self.setup.axes)
-        step = np.array([grid.spacing.get(a, np.inf) for a in COMPONENTS])
+        step = np.array([cells.spacing.get(a, np.inf) for a in COMPONENTS])
         reach = diameter.max(initial=0.0) // step + 3.0
-        out = np.zeros((self.phase_count, *grid.shape, _COLUMNS))
+        out = np.zeros((self.phase_count, *cells.shape, _COLUMNS))
         add_shares(
             np.ascontiguousarray(position),
             radius,
             values,
             phase,
-            Cells(grid.lower, step, np.array(grid.shape), lattice.period),
+            Cells(cells.lower, step, np.array(cells.shape), lattice.period),
             across,
             np.empty(int((reach + 1).prod())),
             out,
         )
-        lengths = [lattice.length(a) for a in grid.averaged]
+        lengths = [lattice.length(a) for a in cells.averaged]
         if isinstance(self.depth, str):
             lengths.append(lattice.length(self.depth))
         elif self.depth is not None:
             lengths.append(self.depth)
-        return np.asarray(out / math.prod([*lengths, *grid.spacing.values()]))
+        return np.asarray(out / math.prod([*lengths, *cells.spacing.values()]))

@@ -17,6 +17,7 @@ from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import CoarseGraining, about
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
+from xcg.fields.formulas.field import Options
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
@@ -176,10 +177,12 @@ def displacement(scene: Scene, asked: DisplacementRequest) -> xr.Dataset:
             "displacements in a box that changes are found in the scene's own axes: "
             "leave frame= out"
         )
-    options = registry.options_of(
-        {**ds.attrs, "gradient": asked.gradient, "temperature": asked.temperature}
+    options = Options(
+        plane=tuple(scene.setup.axes),
+        gradient=asked.gradient,
+        temperature=asked.temperature,
+        lag=asked.lag,
     )
-    options = replace(options, lag=asked.lag)
     beside: tuple[str, ...] = ()
     if asked.for_averages is not False:
         beside = needed_for_averages(names, options)

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import NOT_NEGATIVE, check
-from xcg.fields.coarse_grain import Asked, answer, prepare
+from xcg.fields.coarse_grain import AnyRequest, answer, prepare
 from xcg.fields.formulas.field import Quantity
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
@@ -163,26 +163,26 @@ def join_widths(scene: Scene, widths: Sequence[float], ask: Callable[..., Reques
 
 
 def with_nodes(
-    scene: Scene, asked: Asked, widths: Sequence[float], point: Mapping[str, Any]
-) -> Asked:
-    """Keep nodes where they are for all widths: as close as the narrowest asks, as far as the widest reaches."""
-    spacing = asked.spacing
+    scene: Scene, request: AnyRequest, widths: Sequence[float], point: Mapping[str, Any]
+) -> AnyRequest:
+    """Keep nodes where they are for all widths: as close as the narrowest takes, as far as the widest reaches."""
+    spacing = request.spacing
     if spacing is None:
         spacing = widths[0]
-    if asked.bounds is not None:
-        return replace(asked, spacing=spacing)
+    if request.bounds is not None:
+        return replace(request, spacing=spacing)
     placing = Request(
         "number_density",
         width=widths[-1],
         at=point,
-        axes=asked.axes,
+        axes=request.axes,
         spacing=spacing,
-        kernel=asked.kernel,
-        extent=asked.extent,
+        kernel=request.kernel,
+        extent=request.extent,
     )
-    grid = make_plan(scene, placing).nodes
-    ends = {a: tuple(grid.coords[a].to_numpy()[[0, -1]].tolist()) for a in grid.axes}
-    return replace(asked, spacing=spacing, bounds=ends)
+    nodes = make_plan(scene, placing).nodes
+    ends = {a: tuple(nodes.coords[a].to_numpy()[[0, -1]].tolist()) for a in nodes.axes}
+    return replace(request, spacing=spacing, bounds=ends)
 
 
 def _bias(

@@ -44,29 +44,31 @@ _HAIR = 1e-9  # cutoffs; points that are nearer to a wall are on it
 _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials of Lucy's degree
 
 
-def check_walls(request: Request) -> None:
-    """Raise ValueError for `per` without walls, and for walls with options that leave them no meaning."""
+def walls_of(request: Request) -> list[Wall]:
+    """Return the walls of a request, in the axes of its frame.
+
+    Raises
+    ------
+    ValueError
+        For `per` without walls, and for walls with options that leave them no meaning.
+    """
     if request.surfaces is None:
         if request.per is not None:
             raise ValueError(
                 "per='accessible' needs surfaces=, for example surfaces=[xcg.Plane((0, 0, 0), (0, 0, 1))]"
             )
-        return
+        return []
     if request.preset is not None:
         raise ValueError(
             f"surfaces= with preset={request.preset!r}: presets know no accessible volume; leave one out"
         )
-
-
-def walls_of(request: Request) -> list[Wall]:
-    """Return the walls of a request, in the axes of its frame."""
-    walls = list(request.surfaces or ())
     frame = request.frame
     if frame is None:
-        return walls
+        return list(request.surfaces)
     if isinstance(frame, Cylindrical):
         frame = frame.rotated
-    return [wall.in_axes(frame.axes, np.asarray(frame.origin, float)) for wall in walls]
+    origin = np.asarray(frame.origin, float)
+    return [wall.in_axes(frame.axes, origin) for wall in request.surfaces]
 
 
 def with_accessible(
@@ -86,7 +88,7 @@ def with_accessible(
     ValueError
         As `accessible_of`.
     """
-    beside = [name for name in plan.fields if name not in plan.asked]
+    beside = [name for name in plan.fields if name not in plan.requested]
     f = f.reset_coords(beside)
     accessible = accessible_of(scene, plan, walls)
     seconds = accessible.seconds()
@@ -153,14 +155,14 @@ def accessible_of(scene: Scene, plan: Plan, walls: Sequence[Wall]) -> Accessible
                 warn_user(
                     f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one"
                 )
-    grid = plan.nodes
+    nodes = plan.nodes
     points, shares, first = _points_of(plan, walls, cylindrical=scene.cylindrical)
     averaged = _averaged(plan, walls, scene.edges)
     average = None
     if averaged:
-        seen = [COMPONENTS.index(a) for a in plane if a not in grid.averaged]
+        seen = [COMPONENTS.index(a) for a in plane if a not in nodes.averaged]
         average = AveragedFraction(points, walls, kernel, seen, averaged)
-    return Accessible(points, shares, first, grid.dims, grid.sizes, walls, kernel, plane, average)
+    return Accessible(points, shares, first, nodes.dims, nodes.sizes, walls, kernel, plane, average)
 
 
 def _points_of(
@@ -171,14 +173,14 @@ def _points_of(
     Nodes of a cylinder have a point at each of their angles, or one where walls are the same at all
     angles.
     """
-    grid = plan.nodes
+    nodes = plan.nodes
     if not cylindrical:
-        sizes = dict(zip(grid.dims, grid.sizes, strict=True))
-        points = np.zeros((grid.count, 3))
-        for a in grid.seen:
-            points[:, COMPONENTS.index(a)] = grid.coords[a].set_dims(sizes).to_numpy().ravel()
+        sizes = dict(zip(nodes.dims, nodes.sizes, strict=True))
+        points = np.zeros((nodes.count, 3))
+        for a in nodes.seen:
+            points[:, COMPONENTS.index(a)] = nodes.coords[a].set_dims(sizes).to_numpy().ravel()
         return points, np.ones(len(points)), np.arange(len(points))
-    return ring_points(grid, whole=any(wall.turns() for wall in walls))
+    return ring_points(nodes, whole=any(wall.turns() for wall in walls))
 
 
 @dataclass(frozen=True, eq=False)

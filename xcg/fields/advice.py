@@ -62,8 +62,8 @@ def _warn(advice: Iterable[Callable[[Scene, Plan], Warnings]], scene: Scene, pla
 def _depends_on_support(plan: Plan) -> bool:
     """Return whether a requested field of single steps depends on how many grains a node sees."""
     options = plan.options
-    rows = [registry.row(name, options) for name in plan.asked]
-    if any(row.floor is not None for row in rows) or {*_OF_ONE_VARIANCE} & {*plan.asked}:
+    rows = [registry.row(name, options) for name in plan.requested]
+    if any(row.floor is not None for row in rows) or {*_OF_ONE_VARIANCE} & {*plan.requested}:
         return True
     return any(takes_stress_of_step(row, options) for row in rows)
 
@@ -76,7 +76,7 @@ def _unknown_gradients(scene: Scene, plan: Plan) -> Warnings:
     options = plan.options
     if options.averaged_gradient != "unknown":
         return
-    lost = [name for name in plan.asked if takes_gradient(name, options)]
+    lost = [name for name in plan.requested if takes_gradient(name, options)]
     if lost:
         text = (
             f"{', '.join(lost)}: NaN, as no axis is resolved or fixed, and so the velocity has no neighbours to differ "
@@ -200,7 +200,7 @@ _OF_PLANS = (_unknown_gradients, _widths, _cuts, _jumping_kernels, _strays, _not
 
 def _without_friction(scene: Scene, plan: Plan) -> Warnings:
     """Warn of a redundancy that counts sliding contacts as sticking."""
-    if "redundancy_number" in plan.asked and not plan.options.sliding:
+    if "redundancy_number" in plan.requested and not plan.options.sliding:
         text = (
             "redundancy_number without friction= counts sliding contacts as sticking: where all slide it is "
             f"{scene.setup.dimension} times too large. Pass friction=, the coefficient between the grains (0 without, "
@@ -215,7 +215,7 @@ def _mixed_masses(scene: Scene, plan: Plan) -> Warnings:
     Where the temperature is one of all fields, nobody asked for it: packings of many sizes, most of
     them at rest, would all warn.
     """
-    fields = [name for name in _OF_ONE_VARIANCE if name in plan.asked]
+    fields = [name for name in _OF_ONE_VARIANCE if name in plan.requested]
     smallest = scene.sizes.get("dmin", 0.0)
     if not plan.named or not fields or plan.options.temperature != "unbiased" or not smallest > 0:
         return

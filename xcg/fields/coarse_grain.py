@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import xarray as xr
 
-from xcg.fields.accessible import accessible_of, check_walls, walls_of, with_accessible
+from xcg.fields.accessible import accessible_of, walls_of, with_accessible
 from xcg.fields.advice import about_width, advise, advise_on_steps
 from xcg.fields.evaluate import CoarseGraining
 from xcg.fields.grids.frames import Cylindrical, check_axis, in_frame
@@ -24,9 +24,8 @@ from xcg.scene.bodies import group_bodies
 from xcg.scene.scene import Scene
 from xcg.scene.sizes import with_measures
 from xcg.steps.analysis import run
-from xcg.steps.labels import format_call
 
-# names of other programs: from a request in them to one in names of xcg, and what turns its answer
+# names of other programs: from a request in them to one in names of xcg, and what turns its result
 # into theirs
 PRESETS: dict[
     Preset, Callable[[Scene, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]
@@ -34,7 +33,7 @@ PRESETS: dict[
     "pysammos": pysammos.translate,
     "lammps": lammps.translate,
 }
-Asked = TypeVar("Asked", bound=SharedOptions)
+AnyRequest = TypeVar("AnyRequest", bound=SharedOptions)
 
 
 @takes(Request)
@@ -84,26 +83,23 @@ def coarse_grain(scene: Scene, request: Request) -> xr.Dataset:
     return _compute(scene, request, of_steps=True)
 
 
-def answer(scene: Scene, request: Request) -> xr.Dataset:
-    """Coarse-grain a scene for functions built on it, without advice on fields of single steps."""
-    return _compute(scene, request, of_steps=False)
+def answer(scene: Scene, request: Request, plan: Plan | None = None) -> xr.Dataset:
+    """Coarse-grain a scene for functions built on it, without advice on fields of single steps.
+
+    `plan` is that of the request, see `planned`, where there is one.
+    """
+    return _compute(scene, request, plan, of_steps=False)
 
 
-def _compute(scene: Scene, request: Request, *, of_steps: bool) -> xr.Dataset:
-    check_walls(request)
-    named = request.fields is not None
-    like = request.like
-    request = request_like(request)
-    walls = walls_of(request)
-    frame = request.frame
-    scene, request = prepare(scene, request)
-    given = request.given()
-    if frame is not None:
-        given["frame"] = frame
-    if request.on_error == "raise":
-        del given["on_error"]
-    call = format_call("coarse_grain", given)
-    request, rename = _in_own_names(scene, request)
+def planned(scene: Scene, request: Request) -> Plan:
+    """Plan a request in the axes of the scene.
+
+    Raises
+    ------
+    SceneError, ValueError
+        As `make_plan`; or if an automatic mesh is too large, with the particles that are far from
+        the others.
+    """
     by_sizes = request.width is request.spacing is None and isinstance(request.kernel, str)
     try:
         plan = make_plan(scene, request)
@@ -114,17 +110,31 @@ def _compute(scene: Scene, request: Request, *, of_steps: bool) -> xr.Dataset:
         width = min(kernel.width for kernel in kernels_of(scene, request))
         cause = about_width(scene, width, undercut_size(scene, request, width))
         raise ValueError("; ".join(filter(None, [str(error), cause, way_out]))) from None
-    check_size(
-        scene,
-        plan.nodes,
-        sum(map(math.prod, plan.shapes.values())),
-        by_sizes=by_sizes,
-    )
+    numbers = sum(map(math.prod, plan.shapes.values()))
+    check_size(scene, plan.nodes, numbers, by_sizes=by_sizes)
+    return plan
+
+
+def _compute(
+    scene: Scene, request: Request, plan: Plan | None = None, *, of_steps: bool
+) -> xr.Dataset:
+    named = request.fields is not None
+    walls = walls_of(request)
+    like = request.like
+    if like is not None:
+        request = request_like(request)
+    call = request.call("coarse_grain")
+    scene, request = prepare(scene, request)
+    rename = None
+    if request.preset is not None:
+        request, rename = PRESETS[request.preset](scene, request)
+    if plan is None:
+        plan = planned(scene, request)
     advise(scene, plan)
     if of_steps:
         advise_on_steps(scene, plan, named=named)
     result = run(scene, CoarseGraining(plan), call=call, on_error=request.on_error)
-    if request.surfaces is not None:
+    if walls:
         result = with_accessible(result, scene, plan, request, walls)
     if like is not None:
         result = with_nodes_of(result, like)
@@ -165,11 +175,12 @@ def explain(scene: Scene, request: Request) -> Plan:
     fields    volume_fraction
     ...
     """
-    check_walls(request)
-    request = request_like(request)
     walls = walls_of(request)
+    if request.like is not None:
+        request = request_like(request)
     scene, request = prepare(scene, request)
-    request, _ = _in_own_names(scene, request)
+    if request.preset is not None:
+        request, _ = PRESETS[request.preset](scene, request)
     plan = make_plan(scene, request)
     advise(scene, plan)
     cost = None
@@ -184,35 +195,26 @@ def explain(scene: Scene, request: Request) -> Plan:
     )
 
 
-def prepare(scene: Scene, asked: Asked) -> tuple[Scene, Asked]:
-    """Group spheres where bodies are asked for, and turn the scene into the frame that is asked for.
+def prepare(scene: Scene, request: AnyRequest) -> tuple[Scene, AnyRequest]:
+    """Group the spheres of bodies, and turn the scene into the frame, of a request.
 
-    What is asked for then holds of the bodies, in the axes of the frame.
+    The request that is returned holds of the bodies, in the axes of the frame.
     """
-    if asked.by_body is not None:
-        scene = Scene(group_bodies(scene.ds, asked.by_body))
-        asked = replace(asked, by_body=None)
-    if asked.frame is not None:
-        if not scene.cylindrical:
-            ds = with_measures(scene.ds)
-            if isinstance(asked.frame, Cylindrical):
-                check_axis(ds, asked.frame)
-            scene = Scene(in_frame(ds, asked.frame))
-        if not scene.cylindrical:
-            return scene, replace(asked, frame=None)
-        letters = {ord("r"): "x", ord("t"): "y"}  # of the components that stand in their places
-        dims = {name: getattr(asked, name) for name in ("pressure_dims", "shear_dims")}
-        asked = replace(
-            asked, **{name: axes and axes.translate(letters) for name, axes in dims.items()}
-        )
-    return scene, asked
-
-
-def _in_own_names(
-    scene: Scene, request: Request
-) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset] | None]:
-    """Return the request in names of xcg, and the function that turns its answer into that of the preset."""
-    if request.preset is None:
-        return request, None
-    of_fields, rename = PRESETS[request.preset](scene, request)
-    return replace(of_fields, for_averages=False), rename
+    if request.by_body is not None:
+        scene = Scene(group_bodies(scene.ds, request.by_body))
+        request = replace(request, by_body=None)
+    if request.frame is None:
+        return scene, request
+    if not scene.cylindrical:
+        ds = with_measures(scene.ds)
+        if isinstance(request.frame, Cylindrical):
+            check_axis(ds, request.frame)
+        scene = Scene(in_frame(ds, request.frame))
+    if not scene.cylindrical:
+        return scene, replace(request, frame=None)
+    letters = {ord("r"): "x", ord("t"): "y"}  # of the components that stand in their places
+    dims: dict[str, Any] = {}
+    for name in ("pressure_dims", "shear_dims"):
+        axes = getattr(request, name)
+        dims[name] = axes and axes.translate(letters)
+    return scene, replace(request, **dims)

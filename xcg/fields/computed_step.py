@@ -181,7 +181,7 @@ class ComputedStep:
         options = plan.options
         taking = [
             name
-            for name in plan.asked
+            for name in plan.requested
             if takes_stress_of_step(registry.row(name, options), options)
         ]
         free = without_frozen(self.frame)
@@ -214,7 +214,7 @@ class ComputedStep:
         if not added:
             return
         share = added / (added + true)
-        if {"kinetic_stress", "stress"} & {*self.plan.asked}:
+        if {"kinetic_stress", "stress"} & {*self.plan.requested}:
             normal = by_component + parts.kinetic + np.maximum(parts.contact, 0.0)
             mean = (added + true) / self.plan.options.dimension
             shares = by_component / np.maximum(normal, mean)

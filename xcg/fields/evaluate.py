@@ -22,7 +22,7 @@ from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan
 from xcg.fields.sums.nodes import Block
 from xcg.fields.support import describe_floors
-from xcg.scene.facts import SETUP, extent_text, setup_of
+from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
@@ -45,6 +45,13 @@ def _take_memory(numbers: NDArray) -> None:
 # as `_ONCE` visits.
 WORTH_SHARING = 1_500_000
 _ONCE = 30
+
+
+_CYLINDRICAL: dict[str, dict[str, str]] = {
+    "r": {"long_name": "distance from the axis"},
+    "theta": {"units": "rad", "long_name": "angle about the axis"},
+    "z": {"long_name": "position along the axis", "axis": "Z"},
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,25 +80,94 @@ class CoarseGraining(FrameAnalysis):
 
     def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return the nodes, phases and axes, and the options that averages depend on."""
-        return _coordinates(scene, self.plan)
+        plan = self.plan
+        options = plan.options
+        length = units_in("m", plan.setup.unit_system)
+        of_scene = scene.ds.attrs
+        facts = {name: of_scene[name] for name in ABOUT if name in of_scene}
+        choices = plan.attrs
+        coords: dict[str, xr.Variable] = {}
+        # titles of plots name coordinates in this order, and xarray cuts them after 50 characters
+        if np.ndim(choices["width"]) == 0:
+            coords["width"] = annotated((), choices["width"], length, "width of the kernel")
+        wrapped = {
+            a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]
+        }
+        for name, coord in plan.nodes.coords.items():
+            attrs: dict[str, Any] = {}
+            if scene.cylindrical and name in _CYLINDRICAL:
+                attrs = {"units": length} | _CYLINDRICAL[name]
+            elif name in COMPONENTS:
+                attrs = {
+                    "units": length,
+                    "long_name": f"position along {name}",
+                    "axis": name.upper(),
+                }
+            if name in wrapped:
+                attrs["period"] = wrapped[name]  # also of a part of the nodes
+            coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
+        if plan.by:
+            coords["phase"] = phases_of(plan.by, plan.groups)
+        fields = [registry.row(name, options) for name in plan.fields]
+        axes = list(COMPONENTS)
+        if scene.cylindrical:
+            axes = list(_CYLINDRICAL)
+        for dim in ("component", "direction")[: max(field.rank for field in fields)]:
+            coords[dim] = xr.Variable(dim, axes)
+        if any(field.paired for field in fields):
+            others = [*map(str, plan.groups), "wall"]
+            coords["other_phase"] = xr.Variable("other_phase", others)
+        coords[SETUP] = setup_of(facts | choices)
+        return coords
 
     def attrs(self, scene: Scene) -> dict[str, Any]:
         """Return the options of the plan."""
-        return _choices(self.plan)
+        return self.plan.attrs
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
         """Compute the fields of one step (axes, phase, ...)."""
         plan = self.plan
+        nodes = plan.nodes
+        check_mesh(frame["position"], nodes, max(plan.cutoffs), lattice.open_axes, source)
         threads = self.threads
-        rows = len(frame["particle_id"]) + len(frame.get("contact_i", ()))
-        if rows * (plan.reached + _ONCE) + plan.nodes.count * _ONCE <= WORTH_SHARING:
+        count = len(frame["particle_id"]) + len(frame.get("contact_i", ()))
+        if count * (plan.reached + _ONCE) + nodes.count * _ONCE <= WORTH_SHARING:
             threads = 1
         fields = {name: np.empty(plan.shapes[name]) for name in plan.fields}
         for_each([a.reshape(-1) for a in fields.values() if a.size > _PAGE], _take_memory, threads)
-        at_nodes: dict[str, NDArray] = {}
+        at_nodes: dict[str, NDArray] = {}  # (nodes, phase, ...)
         for name, values in fields.items():
             at_nodes[name] = values.reshape(-1, plan.phases, *values.shape[len(plan.dims) :])
-        _compute_step(plan, frame, lattice, source, threads, at_nodes)
+        scale = scale_of(plan, lattice, source)
+        sums = Sums(plan, frame, lattice, scale, source, threads)
+        program = program_for(plan.fields, plan.options, len(plan.groups))
+        untraced = plan.fields
+        if program:
+            untraced = tuple(name for name in plan.fields if name not in program.widths)
+        options = plan.options
+        if untraced:  # with NumPy; the box may change
+            options = replace(options, wrapped=nodes.fills(lattice.axis_periods))
+        reached: list[int] = []
+
+        def fill(block: Block) -> None:
+            filled = sums.over(block)
+            places = block.places
+            reached.append(int(np.count_nonzero(~np.isnan(filled[0][0, :, 0]))))
+            if program:
+                program.run(sums.table, filled, places, at_nodes, block.order)
+            if untraced:
+                evaluated = registry.evaluate(untraced, sums.moments(filled), options)
+                for name, values in evaluated.items():
+                    at_nodes[name][places] = values.swapaxes(0, 1)
+
+        if options.gradient == "finite_difference":  # of all nodes at once
+            blocks = nodes.blocks(nodes.count, 1)
+        else:
+            blocks = nodes.blocks(plan.block_nodes, threads)
+        for_each(blocks, fill, threads)
+        if nodes.undirected.size:
+            _leave_out_directions(plan, at_nodes)
+        ComputedStep(plan, frame, lattice, source, at_nodes, sum(reached), scale).warn()
         return fields
 
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
@@ -111,7 +187,7 @@ class CoarseGraining(FrameAnalysis):
             if name in floors:
                 attrs["floor_of_one_step"] = floors[name]
             result.variables[name].attrs = attrs
-        return result.set_coords([n for n in self.plan.fields if n not in self.plan.asked])
+        return result.set_coords([n for n in self.plan.fields if n not in self.plan.requested])
 
 
 def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
@@ -137,133 +213,15 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
     return 1.0 / math.prod(lengths)
 
 
-def _compute_step(
-    plan: Plan,
-    frame: Frame,
-    lattice: Lattice,
-    source: str,
-    threads: int,
-    fields: Mapping[str, NDArray],
-) -> None:
-    """Compute the fields of one step into arrays (nodes, phase, ...)."""
-    nodes = plan.nodes
-    check_mesh(frame["position"], nodes, max(plan.cutoffs), lattice.open_axes, source)
-    scale = scale_of(plan, lattice, source)
-    sums = Sums(plan, frame, lattice, scale, source, threads)
-    program = program_for(plan.fields, plan.options, len(plan.groups))
-    untraced = plan.fields
-    if program:
-        untraced = tuple(name for name in plan.fields if name not in program.widths)
-    # the box may change
-    options = replace(plan.options, wrapped=nodes.fills(lattice.axis_periods))
-    reached: list[int] = []
-
-    def fill(block: Block) -> None:
-        filled = sums.over(block)
-        places = block.places
-        reached.append(int(np.count_nonzero(~np.isnan(filled[0][0, :, 0]))))
-        if program:
-            program.run(sums.table, filled, places, fields, block.order)
-        if untraced:  # with NumPy
-            evaluated = registry.evaluate(untraced, sums.moments(filled), options)
-            for name, values in evaluated.items():
-                fields[name][places] = values.swapaxes(0, 1)
-
-    if plan.options.gradient == "finite_difference":  # of all nodes at once
-        blocks = nodes.blocks(nodes.count, 1)
-    else:
-        blocks = nodes.blocks(plan.block_nodes, threads)
-    for_each(blocks, fill, threads)
+def _leave_out_directions(plan: Plan, fields: Mapping[str, NDArray]) -> None:
+    """Set vectors and tensors to NaN where axes have no direction, but for what is along z alone."""
     for name, values in fields.items():
         rank = registry.row(name, plan.options).rank
-        if rank and nodes.undirected.size:  # what is along the axis alone has a direction there
-            along: Any = (nodes.undirected, ..., *(2,) * rank)
+        if rank:
+            along: Any = (plan.nodes.undirected, ..., *(2,) * rank)
             of_axis = values[along]
-            values[nodes.undirected] = np.nan
+            values[plan.nodes.undirected] = np.nan
             values[along] = of_axis
-    ComputedStep(plan, frame, lattice, source, fields, sum(reached), scale).warn()
-
-
-_CYLINDRICAL: dict[str, dict[str, str]] = {
-    "r": {"long_name": "distance from the axis"},
-    "theta": {"units": "rad", "long_name": "angle about the axis"},
-    "z": {"long_name": "position along the axis", "axis": "Z"},
-}
-
-
-def _coordinates(scene: Scene, plan: Plan) -> dict[str, xr.Variable]:
-    """Return the coordinates of a result beside time."""
-    options = plan.options
-    grid = plan.nodes
-    length = units_in("m", plan.setup.unit_system)
-    of_scene = scene.ds.attrs
-    facts = {name: of_scene[name] for name in ABOUT if name in of_scene}
-    choices = _choices(plan)
-    coords: dict[str, xr.Variable] = {}
-    # titles of plots name coordinates in this order, and xarray cuts them after 50 characters
-    if np.ndim(choices["width"]) == 0:
-        coords["width"] = annotated((), choices["width"], length, "width of the kernel")
-    wrapped = {a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]}
-    for name, coord in grid.coords.items():
-        attrs: dict[str, Any] = {}
-        if scene.cylindrical and name in _CYLINDRICAL:
-            attrs = {"units": length} | _CYLINDRICAL[name]
-        elif name in COMPONENTS:
-            attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
-        if name in wrapped:
-            attrs["period"] = wrapped[name]  # also of a part of the nodes
-        coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
-    if plan.by:
-        coords["phase"] = phases_of(plan.by, plan.groups)
-    fields = [registry.row(name, options) for name in plan.fields]
-    axes = list(COMPONENTS)
-    if scene.cylindrical:
-        axes = list(_CYLINDRICAL)
-    for dim in ("component", "direction")[: max(field.rank for field in fields)]:
-        coords[dim] = xr.Variable(dim, axes)
-    if any(field.paired for field in fields):
-        others = [*map(str, plan.groups), "wall"]
-        coords["other_phase"] = xr.Variable("other_phase", others)
-    coords[SETUP] = setup_of(facts | choices)
-    return coords
-
-
-def _choices(plan: Plan) -> dict[str, Any]:
-    """Return the options of a plan as attributes of its result."""
-    options = plan.options
-    grid = plan.nodes
-    width: Any = plan.kernel.width
-    cutoff: Any = plan.kernel.cutoff
-    if len(plan.widths) > 1:
-        width = plan.widths
-        cutoff = list(plan.cutoffs)
-    shear_dims = "".join(COMPONENTS[k] for k in options.shear_axes or ())
-    lengths = {axis: length for axis, length in plan.extent.items() if length is not None}
-    choices = {
-        **grid.attrs,
-        "kernel": plan.kernel.name,
-        "width": width,
-        "cutoff": cutoff,
-        "kernel_dimension": plan.kernel.dimension,
-        "rtol": plan.rtol,
-        "gradient": options.gradient,
-        "pressure_dims": "".join(COMPONENTS[k] for k in options.pressure_axes or options.plane),
-        "deviatoric": options.deviatoric,
-        "size": options.size,
-        "temperature": options.temperature,
-        "averaged_axes": grid.averaged,
-        "wrapped_axes": "".join(
-            a for a, wraps in zip(COMPONENTS, options.wrapped, strict=True) if wraps
-        ),
-        "shear_dims": shear_dims or None,
-        "fluid_viscosity": options.fluid_viscosity,
-        "friction": options.friction,
-        "size_diameter": options.diameter,
-        "lag": options.lag,
-    }
-    if lengths:
-        choices["extent"] = extent_text(lengths)
-    return {name: value for name, value in choices.items() if value is not None}
 
 
 def about(row: Field, system: str) -> dict[str, str]:

@@ -70,19 +70,19 @@ def _spacing_of(
     scene: Scene, request: Request, kernels: Sequence[Kernel]
 ) -> float | dict[str, float]:
     """Return the distance of nodes (m), for all axes or by axis: as asked for, or the smallest width."""
-    given: Any = request.spacing
-    if given is None:
+    spacing: Any = request.spacing
+    if spacing is None:
         return min(k.width for k in kernels)
     advice = "by default it is the width"
-    if isinstance(given, str):
-        return resolve_length("spacing", given, scene.sizes, advice)
-    if not isinstance(given, Mapping):
-        return cast(float, given)
-    steps = dict(given)
-    for axis, step in given.items():
-        if isinstance(step, str):
-            steps[axis] = resolve_length(f"spacing[{axis!r}]", step, scene.sizes, advice)
-    return steps
+    if isinstance(spacing, str):
+        return resolve_length("spacing", spacing, scene.sizes, advice)
+    if not isinstance(spacing, Mapping):
+        return cast(float, spacing)
+    lengths = dict(spacing)
+    for axis, length in spacing.items():
+        if isinstance(length, str):
+            lengths[axis] = resolve_length(f"spacing[{axis!r}]", length, scene.sizes, advice)
+    return lengths
 
 
 def _check_pointwise(request: Request) -> None:
@@ -122,15 +122,15 @@ def takes_gradient(name: str, options: Options) -> bool:
     return any(takes_gradient(needed, options) for needed in registry.row(name, options).fields)
 
 
-def extents_of(grid: Nodes, extent: Mapping[str, float], scene: Scene) -> dict[str, float | None]:
+def extents_of(nodes: Nodes, extent: Mapping[str, float], scene: Scene) -> dict[str, float | None]:
     """Length of each averaged axis (m), None for that of the box of each step."""
-    loose = [a for a in extent if a not in grid.averaged]
+    loose = [a for a in extent if a not in nodes.averaged]
     if loose:
         raise ValueError(
-            f"extent names {loose}, but the averaged axes are {list(grid.averaged)}: leave it out"
+            f"extent names {loose}, but the averaged axes are {list(nodes.averaged)}: leave it out"
         )
-    lengths: dict[str, float | None] = dict.fromkeys(grid.averaged)
-    for a in grid.averaged:
+    lengths: dict[str, float | None] = dict.fromkeys(nodes.averaged)
+    for a in nodes.averaged:
         if a in extent:
             lengths[a] = float(extent[a])
         elif a not in scene.edges and not scene.tilted:
@@ -154,12 +154,12 @@ def kernels_of(scene: Scene, request: Request) -> list[Kernel]:
             f"width={dict(width)!r} gives each group its own: name their variable with by=, and a kernel"
         )
     widths = {str(group): value for group, value in width.items()}
-    known = scene.groups(by, request.groups)
-    if set(widths) != {str(g) for g in known}:
+    groups = scene.groups(by, request.groups)
+    if set(widths) != {str(group) for group in groups}:
         raise ValueError(
-            f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}"
+            f"width={dict(width)!r}: expected a width for each of the groups {list(groups)} of {by!r}"
         )
-    return [kernel_of(kernel, widths[str(g)], scene.sizes, dimension) for g in known]
+    return [kernel_of(kernel, widths[str(group)], scene.sizes, dimension) for group in groups]
 
 
 def undercut_size(scene: Scene, request: Request, width: float) -> str | None:

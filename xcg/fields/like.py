@@ -10,18 +10,19 @@ import numpy as np
 import xarray as xr
 
 from xcg.common.messages import SceneError
+from xcg.fields.formulas import registry
 from xcg.fields.request import Request
-from xcg.scene.facts import extent_of, require_facts, with_facts
+from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import with_rising
 from xcg.scene.schema import COMPONENTS
 
 _SAME_NODES = 1e-9  # of the spacing
 _OPTIONS = ("gradient", "deviatoric", "size", "temperature", "rtol", "pressure_dims")
-_IF_GIVEN = ("shear_dims", "fluid_viscosity", "friction")
+_IF_CHOSEN = ("shear_dims", "fluid_viscosity", "friction", "extent")
 
 
 def request_like(request: Request) -> Request:
-    """Fill in a request from the result in its argument `like`, if there is one, and take that out.
+    """Fill in a request from the result in its argument `like`, and take that out.
 
     Raises
     ------
@@ -32,8 +33,6 @@ def request_like(request: Request) -> Request:
         what `like` determines.
     """
     result = request.like
-    if result is None:
-        return request
     if not isinstance(result, xr.Dataset):
         raise ValueError(f"like={type(result).__name__}: expected a result of coarse_grain")
     f = with_facts(result)
@@ -51,21 +50,19 @@ def request_like(request: Request) -> Request:
         )
     if np.ndim(f.attrs["width"]):
         raise ValueError("like= has a width for each group: give the same width= to both calls")
-    options: dict[str, Any] = {
-        "kernel": f.attrs["kernel"],
-        "width": float(f.attrs["width"]),
-        **_nodes(f),
-        **{name: f.attrs[name] for name in _OPTIONS},
-        **{name: f.attrs[name] for name in _IF_GIVEN if name in f.attrs},
+    saved = registry.saved_options(f.attrs)
+    options = {
+        "kernel": saved["kernel"],
+        "width": saved["width"],
+        **arguments_of_nodes(f),
+        **{name: saved[name] for name in _OPTIONS},
+        **{name: saved[name] for name in _IF_CHOSEN if name in saved},
     }
     if options["temperature"] == "mixture":
         options["temperature"] = "unbiased"  # with the same by=
-    if "extent" in f.attrs:
-        options["extent"] = extent_of(f.attrs)
     if "phase" in f.dims:
         options["by"] = str(f["phase"].attrs.get("long_name", "")).removeprefix("phase by ")
-        labels = f["phase"].to_numpy().tolist()
-        options["groups"] = [int(label) for label in labels if label != "bulk"]
+        options["groups"] = groups_of(f)
     named = request.changed(list(options))
     if named:
         raise ValueError(
@@ -75,8 +72,14 @@ def request_like(request: Request) -> Request:
     return replace(request, like=None, **options)
 
 
-def _nodes(f: xr.Dataset) -> dict[str, Any]:
-    """Return the arguments that lay the nodes of a result."""
+def groups_of(f: xr.Dataset) -> list[int]:
+    """Return the groups of the phases of a result, without the bulk."""
+    labels = f["phase"].to_numpy().tolist()
+    return [int(label) for label in labels if label != "bulk"]
+
+
+def arguments_of_nodes(f: xr.Dataset) -> dict[str, Any]:
+    """Return the arguments that lay the nodes of a result in Cartesian axes."""
     f = with_rising(f, COMPONENTS)
     at: dict[str, Any] = {}
     bounds: dict[str, tuple[float, float]] = {}
@@ -91,6 +94,8 @@ def _nodes(f: xr.Dataset) -> dict[str, Any]:
                 at[a] = float(nodes)
             continue
         bounds[a] = (float(nodes[0]), float(nodes[-1]))
+        # a single node fills a period, or has the spacing of a call by default
+        spacing[a] = float(nodes.attrs.get("period", np.max(f.attrs["width"])))
         if nodes.size > 1:
             spacing[a] = (bounds[a][1] - bounds[a][0]) / (nodes.size - 1)
     return {

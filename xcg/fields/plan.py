@@ -35,6 +35,7 @@ from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE, Nodes
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
+from xcg.scene.facts import extent_text
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
 from xcg.scene.summary import Summary
@@ -52,7 +53,7 @@ class Plan:
     ----------
     fields : tuple of str
         What is computed: what was asked for, and the sums that averages of it need.
-    asked : tuple of str
+    requested : tuple of str
         The variables of the result; the other fields are its coordinates.
     variables : tuple of str
         What is read from the scene.
@@ -106,7 +107,7 @@ class Plan:
     """
 
     fields: tuple[str, ...]
-    asked: tuple[str, ...]
+    requested: tuple[str, ...]
     variables: tuple[str, ...]
     moments: Mapping[str, Moment]
     nodes: Nodes
@@ -182,6 +183,40 @@ class Plan:
         """Number of sums at a node."""
         return self.group_count * sum(map(sum, self._columns.values()))
 
+    @cached_property
+    def attrs(self) -> dict[str, Any]:
+        """Attributes of the result: nodes, kernel and options."""
+        options = self.options
+        width: Any = self.kernel.width
+        cutoff: Any = self.kernel.cutoff
+        if len(self.widths) > 1:
+            width = self.widths
+            cutoff = list(self.cutoffs)
+        wraps = zip(COMPONENTS, options.wrapped, strict=True)
+        lengths = {axis: length for axis, length in self.extent.items() if length is not None}
+        attrs = {
+            **self.nodes.attrs,
+            "kernel": self.kernel.name,
+            "width": width,
+            "cutoff": cutoff,
+            "kernel_dimension": self.kernel.dimension,
+            "rtol": self.rtol,
+            "gradient": options.gradient,
+            "pressure_dims": _letters(options.pressure_axes or options.plane),
+            "deviatoric": options.deviatoric,
+            "size": options.size,
+            "temperature": options.temperature,
+            "averaged_axes": self.nodes.averaged,
+            "wrapped_axes": "".join(a for a, is_wrapped in wraps if is_wrapped),
+            "shear_dims": _letters(options.shear_axes or ()) or None,
+            "fluid_viscosity": options.fluid_viscosity,
+            "friction": options.friction,
+            "size_diameter": options.diameter,
+            "lag": options.lag,
+            "extent": extent_text(lengths) or None,
+        }
+        return {name: value for name, value in attrs.items() if value is not None}
+
     def __str__(self) -> str:
         return "\n".join(f"{key:9s} {text}" for key, text in self._lines().items())
 
@@ -205,7 +240,7 @@ class Plan:
         sums = min(nodes.count, self.block_nodes) * self._numbers
         outputs = sum(map(math.prod, self.shapes.values()))
         lines = {
-            "fields": ", ".join(self.asked),
+            "fields": ", ".join(self.requested),
             "read": ", ".join(self.variables),
             **nodes.text,
             "averaged": ", ".join(averaged) or "none",
@@ -215,7 +250,7 @@ class Plan:
             "contacts": self._rules(),
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
-        beside = [name for name in self.fields if name not in self.asked]
+        beside = [name for name in self.fields if name not in self.requested]
         if beside:
             lines["averages"] = f"{', '.join(beside)} (as coordinates, for averages)"
         seen = self.effective_count
@@ -244,6 +279,11 @@ class Plan:
         if self.coarse:
             rules += ", weights in single precision"
         return f"{rules} (rtol = {self.rtol:g})"
+
+
+def _letters(axes: Sequence[int]) -> str:
+    """Return axes by their letters."""
+    return "".join(COMPONENTS[k] for k in axes)
 
 
 def effective_count(scene: Scene, plan: Plan) -> float | None:
@@ -275,7 +315,7 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     scene.require((), "coarse_grain")
     rtol = request.rtol
     by = request.by
-    names, asked, options = _fields_and_options(scene, request)
+    names, requested, options = _fields_and_options(scene, request)
     read = {*_required(scene, names, options), by, "frozen"}
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
@@ -301,7 +341,7 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     )
     return Plan(
         fields=names,
-        asked=asked,
+        requested=requested,
         variables=tuple(n for n in scene.columns if n in read),
         moments=moments,
         nodes=nodes,
@@ -378,12 +418,12 @@ def _fields_and_options(
     options = replace(options, own=(*own, *registered))
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
-    asked = names
+    requested = names
     if request.for_averages is not False or request.per is not None:
         names = (*names, *needed_for_averages(names, options))
     if request.for_averages:
-        asked = names
-    return names, asked, options
+        requested = names
+    return names, requested, options
 
 
 def possible_fields(scene: Scene, request: Request) -> tuple[str, ...]:
@@ -394,7 +434,7 @@ def possible_fields(scene: Scene, request: Request) -> tuple[str, ...]:
 def _possible(scene: Scene, options: Options) -> tuple[str, ...]:
     here = scene.columns.keys()
     rows = registry.FIELDS
-    lacking = _without_option(options)
+    lacking = {n for n, row in rows.items() if row.option and getattr(options, row.option) is None}
     usual = [name for name in registry.listed() if rows[name].default and name not in lacking]
     possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
     if not possible:
@@ -402,44 +442,40 @@ def _possible(scene: Scene, options: Options) -> tuple[str, ...]:
     return possible
 
 
-def _without_option(options: Options) -> set[str]:
-    """Return the fields whose option is not given."""
-    rows = registry.FIELDS.items()
-    return {name for name, row in rows if row.option and getattr(options, row.option) is None}
-
-
 def _choose_fields(
-    asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None,
+    fields: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None,
     scene: Scene,
     options: Options,
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and of the quantities of the scene's own variables among them."""
-    if asked is None:
+    if fields is None:
         return _possible(scene, options), ()
-    requested: list[Any] = [asked]
-    if isinstance(asked, Iterable) and not isinstance(asked, str):
-        requested = list(asked)
-    own = own_fields(requested, scene)
+    requested: list[Any] = [fields]
+    if isinstance(fields, Iterable) and not isinstance(fields, str):
+        requested = list(fields)
+    listed = registry.listed()
     names = requested.copy()
+    own: dict[int, OwnField | registry.OwnRow] = {}
+    if not all(isinstance(name, str) and name in listed for name in names):
+        own = own_fields(requested, scene)
     for k, field in own.items():
         names[k] = field.name
     if not names:
         raise ValueError(
-            f"fields={asked!r}: expected at least one; leave it out for all that the scene allows"
+            f"fields={fields!r}: expected at least one; leave it out for all that the scene allows"
         )
-    known = [*registry.listed(), *(field.name for field in own.values())]
-    lacking = _without_option(options)
+    available = [*listed, *(field.name for field in own.values())]
     for name in names:
-        if name not in known:
+        if name not in available:
             raise ValueError(_unknown_field(name, scene))
-        if name not in lacking:
+        row = registry.FIELDS.get(name)
+        if row is None or not row.option or getattr(options, row.option) is not None:
             continue
-        option = registry.FIELDS[name].option
-        if option == "lag":
+        if row.option == "lag":
             raise ValueError(
                 f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain"
             )
-        raise ValueError(f"{name} needs the argument {option}=")
+        raise ValueError(f"{name} needs the argument {row.option}=")
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
 
 
@@ -465,7 +501,7 @@ def _with_errors(
     absent: Set[str],
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Add the errors of one step of the fields that have them, unless absent."""
-    quantities = [one.error for one in own if isinstance(one, OwnField)]
+    quantities = [field.error for field in own if isinstance(field, OwnField)]
     further = tuple(own_field(quantity, scene) for quantity in quantities if quantity is not None)
     errors = [
         f"{name}_error" for name in names if f"{name}_error" in registry.FIELDS.keys() - absent
@@ -475,7 +511,8 @@ def _with_errors(
             "errors=True: errors of a single step exist for velocity, granular_temperature and others, not for "
             f"{', '.join(names)}: leave errors= out, and take the errors of time_average over several steps"
         )
-    return tuple(dict.fromkeys([*names, *errors, *(one.name for one in further)])), (*own, *further)
+    names = (*names, *errors, *(field.name for field in further))
+    return tuple(dict.fromkeys(names)), (*own, *further)
 
 
 def variables_of(fields: Iterable[str], here: Set[str], options: Options) -> set[str]:

@@ -82,11 +82,11 @@ def variation_of_flow(
     The flow is a sum of cubic polynomials along each axis. Of each part of V the noise of the fit
     is subtracted, from the squares and the squared derivatives of Legendre polynomials.
     """
-    grid = plan.nodes
+    nodes = plan.nodes
     position = frame["position"]
     mass = frame["mass"]
     of_box = np.zeros_like(position)
-    gradient = lattice.gradient_along(~grid.active)
+    gradient = lattice.gradient_along(~nodes.active)
     if gradient is not None:
         of_box = (position - lattice.middle) @ gradient.T
     velocity = frame["velocity"] - of_box
@@ -105,12 +105,12 @@ def variation_of_flow(
     noise = mass @ (velocity - flow) ** 2 / max(len(mass), 1)
     smeared = np.zeros(3)
     averaged = {}
-    variance = second_moment(plan.kernel, len(grid.seen))
+    variance = second_moment(plan.kernel, len(nodes.seen))
     for n, k in enumerate(plan.options.plane):
         first, second, third = terms[1 + 3 * n : 4 + 3 * n]
         u = places[k][:, None]
         along = first * u + second * (u * u) + third * (u * u * u)
-        if COMPONENTS[k] in grid.seen:
+        if COMPONENTS[k] in nodes.seen:
             slope = first + 2 * second * u + 3 * third * u * u
             line = np.mean(u * along, axis=0)  # u has the variance 1
             share = variance / spread[k] ** 2 if spread[k] > 0 else 0.0

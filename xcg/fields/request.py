@@ -227,16 +227,13 @@ class SharedOptions:
 
     def call(self, function: str) -> str:
         """Write the call of a function with these arguments, for its history."""
-        given = self.given()
-        return format_call(
-            function, {k: v for k, v in given.items() if k != "on_error" or v != "raise"}
-        )
-
-    def given(self) -> dict[str, Any]:
-        """Arguments that are not None."""
         kind: Any = type(self)
-        values = ((field.name, getattr(self, field.name)) for field in arguments(kind))
-        return {name: value for name, value in values if value is not None}
+        values: dict[str, Any] = {}
+        for field in arguments(kind):
+            value = getattr(self, field.name)
+            if value is not None and (field.name, value) != ("on_error", "raise"):
+                values[field.name] = value
+        return format_call(function, values)
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ def floor_text(plan: Plan, name: str, floor: float) -> str:
 def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, float]]:
     """Return floor and usual value of each requested field that has a floor."""
     floors = {}
-    for name in plan.asked:
+    for name in plan.requested:
         row = registry.row(name, plan.options)
         if row.floor is not None:
             floors[name] = row.floor(support), row.usual

@@ -219,7 +219,10 @@ def run(
         analysis.periodic_axes(scene),
         {n: _rows_along(ds.variables[n]) for n in read},
     )
-    series, beside = _with_others(ds, read, analysis.lags)
+    series = ds
+    beside: list[str] = []
+    if analysis.lags:
+        series, beside = _with_others(ds, read, analysis.lags)
     results = {n: (tuple(sizes[d] or 0 for d in row.dims), row.dtype) for n, row in rows.items()}
     arrays: dict[str, Any] = {}
     if rows:
@@ -272,9 +275,7 @@ def _with_others(
         for name in read:
             row = ds.variables[name].isel(time=np.clip(other, 0, len(steps) - 1))
             beside[f"{name}@{lag}"] = row.to_base_variable()
-    if beside:
-        ds = ds.assign(beside)
-    return ds, list(beside)
+    return ds.assign(beside), list(beside)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,12 +17,13 @@ from numpy.typing import DTypeLike
 
 from xcg.common.messages import SceneError, did_you_mean
 from xcg.fields.coarse_grain import answer, coarse_grain
+from xcg.fields.formulas.registry import saved_options
+from xcg.fields.like import arguments_of_nodes, groups_of
 from xcg.fields.request import OF_PRESETS, Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.conform import storable, takes_scene
-from xcg.scene.facts import OF_RESULTS, OF_SCENES, extent_of
+from xcg.scene.facts import OF_RESULTS, OF_SCENES
 from xcg.scene.scene import Scene
-from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import check_times
 from xcg.steps.mapping import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
@@ -234,12 +235,13 @@ def _with_time(fields: xr.Dataset) -> xr.Dataset:
 def _check_request(request: Request, recorded: xr.Dataset) -> None:
     """Raise SceneError if width, mesh, extent or phases differ from the recorded steps."""
     pairs: dict[str, tuple[Any, Any]] = {}  # values of the request, and of the file
-    extent = extent_of(recorded.attrs)
+    saved = saved_options(recorded.attrs)
+    extent = saved.get("extent", {})
     for a, length in (request.extent or {}).items():
         pairs[f"extent along {a}"] = (length, extent.get(a, np.nan))
     pairs |= _spacings(request, recorded)
     if not isinstance(request.width, str | Mapping | None):
-        pairs["width"] = (request.width, recorded.attrs["width"])
+        pairs["width"] = (request.width, saved["width"])
     for a, (low, high) in (request.bounds or {}).items():
         if a not in recorded.dims:
             continue
@@ -283,20 +285,15 @@ def _spacings(request: Request, recorded: xr.Dataset) -> dict[str, tuple[float, 
 
 def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
     """Fix nodes, width and phases as in a result."""
-    nodes = {a: fields[a].to_numpy() for a in COMPONENTS if a in fields.dims}
-    bounds = {a: (float(x[0]), float(x[-1])) for a, x in nodes.items()}
-    spacing = {a: float(x[-1] - x[0]) / (len(x) - 1) for a, x in nodes.items() if len(x) > 1}
-    fixed: dict[str, Any] = {"bounds": bounds or None}
-    if "extent" in fields.attrs:
-        fixed["extent"] = extent_of(fields.attrs)
-    if len(spacing) == len(nodes):
-        fixed["spacing"] = spacing or None
-    if not isinstance(request.kernel, Kernel) and np.ndim(fields.attrs.get("width", ())) == 0:
-        fixed["width"] = float(fields.attrs["width"])
+    saved = saved_options(fields.attrs)
+    nodes = arguments_of_nodes(fields)
+    fixed: dict[str, Any] = {"bounds": nodes["bounds"], "spacing": nodes["spacing"]}
+    if "extent" in saved:
+        fixed["extent"] = saved["extent"]
+    if not isinstance(request.kernel, Kernel) and np.ndim(saved.get("width", ())) == 0:
+        fixed["width"] = saved["width"]
     if request.by is not None and request.groups is None:
-        fixed["groups"] = [
-            int(label) for label in fields["phase"].to_numpy().tolist() if label != "bulk"
-        ]
+        fixed["groups"] = groups_of(fields)
     return replace(request, **fixed)
 
 

@@ -30,7 +30,7 @@ from xcg.fields.formulas.rows import (
     rheology,
 )
 from xcg.fields.sums.moments import MOMENTS, Moment, load_bearing_sliding, sliding_contacts
-from xcg.scene.facts import RENAMED, SETUP
+from xcg.scene.facts import RENAMED, SETUP, extent_of
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 
@@ -156,30 +156,53 @@ def row(name: str, options: Options) -> Field:
     return usual
 
 
-def options_of(attrs: Mapping[Any, Any]) -> Options:
-    """Return the choices that a result was computed with, from its attributes."""
+# Options of a saved result: the attributes of `facts.OF_RESULTS` that hold them, and their types.
+_SAVED: dict[str, Callable[[Any], Any]] = {
+    "kernel": str,
+    "width": float,
+    "gradient": str,
+    "pressure_dims": str,
+    "shear_dims": str,
+    "deviatoric": str,
+    "size": str,
+    "temperature": str,
+    "rtol": float,
+    "size_diameter": float,
+    "fluid_viscosity": float,
+    "friction": float,
+    "lag": int,
+}
 
-    def axes_of(dims: str) -> tuple[int, ...]:
-        return tuple(map("xyz".index, dims))
 
-    # attribute, option, and the option's value from that of the attribute
-    kinds: dict[str, tuple[str, Callable[[Any], Any]]] = {
-        "plane": ("plane", axes_of),
-        "gradient": ("gradient", str),
-        "pressure_dims": ("pressure_axes", axes_of),
-        "shear_dims": ("shear_axes", axes_of),
-        "deviatoric": ("deviatoric", str),
-        "size": ("size", str),
-        "temperature": ("temperature", str),
-        "size_diameter": ("diameter", float),
-        "fluid_viscosity": ("fluid_viscosity", float),
-        "lag": ("lag", int),
-    }
-    options: dict[str, Any] = {"temperature": "biased"}  # of files without it
-    for name, (option, kind) in kinds.items():
+def saved_options(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return the options that a result was computed with, as arguments of `coarse_grain`, from its attributes.
+
+    Widths of groups are left as they are.
+    """
+    options: dict[str, Any] = {}
+    for name, kind in _SAVED.items():
         if name in attrs:
-            options[option] = kind(attrs[name])
-    return Options(**options)
+            options[name] = attrs[name] if np.ndim(attrs[name]) else kind(attrs[name])
+    if "extent" in attrs:
+        options["extent"] = extent_of(attrs)
+    return options
+
+
+def options_of(attrs: Mapping[Any, Any]) -> Options:
+    """Return the choices of the algebra that a result was computed with, from its attributes."""
+    saved = saved_options(attrs)
+    names = ("gradient", "deviatoric", "size", "fluid_viscosity", "lag")
+    options: dict[str, Any] = {name: saved[name] for name in names if name in saved}
+    axes = {
+        "plane": attrs.get("plane"),
+        "pressure_axes": saved.get("pressure_dims"),
+        "shear_axes": saved.get("shear_dims"),
+    }
+    for name, dims in axes.items():
+        if dims is not None:
+            options[name] = tuple(map(COMPONENTS.index, str(dims)))
+    options["temperature"] = saved.get("temperature", "biased")  # of files without it
+    return Options(**options, diameter=saved.get("size_diameter"))
 
 
 def listed(*, registered: bool = True) -> list[str]:

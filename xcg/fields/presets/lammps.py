@@ -173,7 +173,9 @@ def translate(scene: Scene, request: Request) -> tuple[Request, Callable[[xr.Dat
     if idle:
         raise ValueError(f"preset='lammps': none of its fields depends on {idle}; leave them out")
     scene.require((), "coarse_grain")
-    in_xcg = replace(request, preset=None, kernel=_kernel(scene, request), width=None)
+    in_xcg = replace(
+        request, preset=None, for_averages=False, kernel=_kernel(scene, request), width=None
+    )
     names = _choose(request.fields, possible_fields(scene, in_xcg))
     points = any(map(np.ndim, (request.at or {}).values()))
     if request.gradient == "finite_difference" and (scene.cylindrical or points):

@@ -303,7 +303,7 @@ def translate(scene: Scene, request: Request) -> tuple[Request, Callable[[xr.Dat
         )
     scene.require((), "coarse_grain")
     table = rows(*plane_of(scene, request.shear_dims))
-    in_xcg = replace(request, preset=None, shear_dims=None)
+    in_xcg = replace(request, preset=None, for_averages=False, shear_dims=None)
     chosen = {
         name: table[name].field
         for name in choose(request.fields, table, possible_fields(scene, in_xcg))
