@@ -190,6 +190,7 @@ def test_every_control_changes_the_page_and_closing_it_ends_the_server(served, c
         page.page.get_by_role("button", name="picture (PNG)").click()
     assert picture.value.suggested_filename == "velocity_map_15.png"
     assert pathlib.Path(picture.value.path()).read_bytes().startswith(b"\x89PNG")
+    page.after(page.choose("axes", "x y"))  # wide
     width = page.page.evaluate(WIDTH)
     page.page.set_viewport_size({"width": 900, "height": 900})
     page.page.wait_for_function(f"width => ({WIDTH})() < width", arg=width)
