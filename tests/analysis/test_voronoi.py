@@ -209,5 +209,28 @@ def test_cells_of_a_cylinder_in_a_box_are_said_to_reach_beyond_it():
         np.ptp(ds.position.sel(component="x").to_numpy())
     )
     cylinder = ds.assign(inside=inside.astype(int)).cg.select("inside == 1")
-    with pytest.warns(xcg.SceneWarning, match="they reach beyond the grains.*bounds="):
+    with pytest.warns(xcg.SceneWarning, match="no box.*voronoi_at_edge == 0.*bounds="):
         cylinder.assign_attrs(periodic="").drop_vars("setup", errors="ignore").cg.voronoi()
+
+
+def test_cells_under_a_free_surface_are_marked():
+    """A bed in a box twice as high: silent, and without its cells at edges as packed as without them."""
+    ds = xcg.datasets.random_scene(2000, seed=3)
+    low, high = (float(ds.position.sel(component="z").reduce(f)) for f in (np.min, np.max))
+    bed = ds.assign_attrs(periodic="xy").drop_vars("setup", errors="ignore")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", xcg.SceneWarning)
+        v = bed.cg.voronoi(bounds={"z": (low, 2 * high - low)})
+        whole = ds.cg.voronoi()
+    at_edge = v.voronoi_at_edge == 1
+    assert not whole.voronoi_at_edge.any()
+    assert 100 < at_edge.sum() < 700
+    # a cell ends at the floor or the top where it is the nearest: none in the middle of the bed
+    middle = abs(bed.position.sel(component="z") - (low + high) / 2) < 0.25 * (high - low)
+    assert not (at_edge & middle).any()
+    cells = v.voronoi_volume.where(at_edge)
+    assert (v.voronoi_fraction * cells).sum() / cells.sum() < 0.3
+    inside = v.voronoi_fraction.where(~at_edge)
+    np.testing.assert_allclose(
+        inside.mean(), whole.voronoi_fraction.where(~at_edge).mean(), rtol=0.05
+    )

@@ -27,7 +27,8 @@ _ROUNDING = 1e-9
 # Rows of a lazy result; cells of random points have 15.5 faces on average, half of them a pair.
 _PAIRS_A_PARTICLE = 12
 # cells without a face to an edge that tell the packing inside, and share of the volume of those at
-# edges above which they are said to reach beyond the grains: at flat walls a packing is looser by less
+# both ends of an axis above which they are said to reach beyond the grains: at flat walls a packing
+# is looser by less, and a bed under a free surface rests on the other end
 _INSIDE = 20
 _OUTSIDE = 0.4
 
@@ -37,6 +38,7 @@ _ROWS = {
     "voronoi_fraction": Variable(("particle",), "1", "volume of the particle over its cell's"),
     "voronoi_area": Variable(("particle",), "m^2", "surface of the Voronoi cell"),
     "voronoi_neighbours": Variable(("particle",), "1", "number of faces to others", "int64"),
+    "voronoi_at_edge": Variable(("particle",), "1", "1 where the cell ends at the region", "int64"),
 }
 _FACES = {
     "face_i": Variable(("face",), "1", "id of the first particle", "int64"),
@@ -77,6 +79,7 @@ def voronoi(
         By particle: ``voronoi_volume`` (m3), 0 for a particle that others cover so far that it has
         no cell; ``voronoi_fraction``, the volume of the particle over it; ``voronoi_area`` (m2);
         ``voronoi_neighbours``, how many faces the cell has to other particles, images counted each.
+        ``voronoi_at_edge``, 1 where the cell ends at an edge of the region that is not periodic.
         With `faces` by face: ``face_i`` and ``face_j``, the ids of its particles, ``face_area``
         (m2), and ``face_normal`` from i to j; padding is -1 and NaN.
 
@@ -94,7 +97,8 @@ def voronoi(
     -----
     The cell of particle i is where ``|r - r_i|^2 - R_i^2`` is less than for all others (Gellatly &
     Finney 1982), so that planes between touching spheres touch both. Cells fill the box: near a free
-    surface they reach up to its edge, unless `bounds` ends there. Cells of a layer of discs are as
+    surface they reach up to its edge, unless `bounds` ends there, so their ``voronoi_fraction`` is too
+    low. ``v.where(v.voronoi_at_edge == 0)`` leaves them out. Cells of a layer of discs are as
     high as the layer. Faces below 1e-6 of the mean cell's ``V^(2/3)`` are rounding and do not count,
     nor do faces to edges or to the particle's own images. Boxes of Lees and Edwards are taken as
     they are at each step. Source of the algorithm: Rycroft, Chaos 19 (2009) 041111 (Voro++).
@@ -184,7 +188,11 @@ class _Cells(FrameAnalysis):
         counts = (j >= 0) & (j != i) & (area > _LEAST_AREA)
         with np.errstate(divide="ignore"):
             fraction = np.where(volumes > 0, frame["volume"] / volumes, np.nan)
-        self._warn_of_reach(i, j, area_vector, volumes, fraction, source)
+        at_ends = self._at_ends(i, j, area_vector, area, len(volumes))
+        at_edge = np.zeros(len(volumes), bool)
+        for pair in at_ends.values():
+            at_edge |= pair.any(axis=0)
+        _warn_of_reach(at_ends, at_edge, volumes, fraction, source)
         ids = frame["particle_id"]
         results = {
             "particle_id": ids,
@@ -192,6 +200,7 @@ class _Cells(FrameAnalysis):
             "voronoi_fraction": fraction,
             "voronoi_area": np.bincount(i, area, len(ids)) * unit**2,
             "voronoi_neighbours": np.bincount(i[counts], minlength=len(ids)),
+            "voronoi_at_edge": at_edge.astype(int),
         }
         if self.faces:
             once = counts & (i < j)
@@ -201,36 +210,20 @@ class _Cells(FrameAnalysis):
             results["face_normal"] = area_vector[once] / area[once, None]
         return results
 
-    def _warn_of_reach(
-        self,
-        i: NDArray,
-        j: NDArray,
-        area_vector: NDArray,
-        volumes: NDArray,
-        fraction: NDArray,
-        source: str,
-    ) -> None:
-        """Warn if cells at open edges hold much more volume than their grains need inside.
-
-        The packing fraction of grains inside is the median of cells without a face to an open edge.
-        """
-        is_open = [a in self.setup.plane and a not in self.setup.periodic for a in COMPONENTS]
-        faces = (j < 0) & (np.abs(area_vector[:, is_open]).sum(axis=1) > _LEAST_AREA)
-        at_edge = np.zeros(len(volumes), bool)
-        at_edge[i[faces]] = True
-        inside = ~at_edge & np.isfinite(fraction)
-        if inside.sum() < _INSIDE or not at_edge.any():
-            return
-        needed = (fraction[at_edge] * volumes[at_edge]).sum() / np.median(fraction[inside])
-        share = 1 - needed / volumes[at_edge].sum()
-        if share > _OUTSIDE:
-            warn_once(
-                "cells beyond the grains",
-                f"{source}: {at_edge.sum()} cells end at edges of the region, and {share:.0%} of their volume is "
-                "more than their grains take up inside: they reach beyond the grains, as at a free surface or "
-                "in a container that is no box. End the region at the grains, bounds=, or leave these cells "
-                "out: voronoi_fraction is too low there",
-            )
+    def _at_ends(
+        self, i: NDArray, j: NDArray, area_vector: NDArray, area: NDArray, count: int
+    ) -> dict[str, NDArray]:
+        """Return which cells have a face to the low and the high end (2, n) of each open axis."""
+        at_ends = {}
+        to_edge = (j < 0) & (area > _LEAST_AREA)
+        for axis in self.setup.plane:
+            if axis not in self.setup.periodic:
+                outward = area_vector[:, COMPONENTS.index(axis)]
+                pair = np.zeros((2, count), bool)
+                pair[0, i[to_edge & (outward < -0.5 * area)]] = True
+                pair[1, i[to_edge & (outward > 0.5 * area)]] = True
+                at_ends[axis] = pair
+        return at_ends
 
     def _region(self, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
         """Return vectors along the edges of the region that cells fill (3, 3), and its corner."""
@@ -252,6 +245,37 @@ class _Cells(FrameAnalysis):
                 f"bounds={dict.fromkeys(lacks, (0.0, 1.0))} with those of the walls"
             )
         return vectors, first
+
+
+def _warn_of_reach(
+    at_ends: Mapping[str, NDArray],
+    at_edge: NDArray,
+    volumes: NDArray,
+    fraction: NDArray,
+    source: str,
+) -> None:
+    """Warn if cells at both ends of an axis hold much more volume than their grains need inside.
+
+    The packing fraction of grains inside is the median of cells without a face to an open edge.
+    """
+    inside = ~at_edge & np.isfinite(fraction)
+    if inside.sum() < _INSIDE:
+        return
+    packing = np.median(fraction[inside])
+    axes = []
+    for axis, pair in at_ends.items():
+        held = [volumes[cells].sum() for cells in pair]
+        needed = [(fraction[cells] * volumes[cells]).sum() / packing for cells in pair]
+        if all(n < (1 - _OUTSIDE) * h for n, h in zip(needed, held, strict=True)):
+            axes.append(axis)
+    if axes:
+        warn_once(
+            "cells beyond the grains",
+            f"{source}: {at_edge.sum()} of {len(volumes)} cells end at edges of the region, and at both ends "
+            f"along {' and '.join(axes)} they hold more than {1 / (1 - _OUTSIDE):.2g} times the volume that "
+            "their grains take up inside, as in a container that is no box: voronoi_fraction is too low "
+            "there. Leave them out, v.where(v.voronoi_at_edge == 0), or end the region at the grains, bounds=",
+        )
 
 
 def _inside(
