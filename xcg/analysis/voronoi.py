@@ -272,7 +272,7 @@ def _warn_of_reach(
         warn_once(
             "cells beyond the grains",
             f"{source}: {at_edge.sum()} of {len(volumes)} cells end at edges of the region, and at both ends "
-            f"along {' and '.join(axes)} they hold more than {1 / (1 - _OUTSIDE):.2g} times the volume that "
+            f"along {', '.join(axes)} they hold more than {1 / (1 - _OUTSIDE):.2g} times the volume that "
             "their grains take up inside, as in a container that is no box: voronoi_fraction is too low "
             "there. Leave them out, v.where(v.voronoi_at_edge == 0), or end the region at the grains, bounds=",
         )
