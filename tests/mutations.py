@@ -80,7 +80,7 @@ TABLE = [
         "test_support_larger_than_the_box_counts_all_images",
     ),
     Mutation(
-        "compiled/matrices.py", "rows[count, n] > rank + 1", "rows[count, n] > rank",
+        "compiled/gradient_fit.py", "rows[count, n] > rank + 1", "rows[count, n] > rank",
         "test_fits_to_no_grain_one_grain_or_damaged_sums_are_nan test_grains_in_a_plane_give_no_gradient_across_it",
     ),
     Mutation(

@@ -628,7 +628,7 @@ def selected(step):
     ]
 
 
-@pytest.mark.filterwarnings("ignore:coarse_grain. no step is left")
+@pytest.mark.filterwarnings("ignore:no step is left")
 @pytest.mark.parametrize("suffix", ["zarr", "nc"])
 @pytest.mark.parametrize("step", ["one", "none", "step"])
 def test_selected_steps_open_again_once_saved(tmp_path, suffix, step):

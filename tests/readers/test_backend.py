@@ -8,7 +8,7 @@ import xarray as xr
 
 import xcg
 from tests.benchmarks import series
-from xcg.readers import lazy as indexed
+from xcg.readers import indexed
 from xcg.readers.backend import SceneBackend
 
 STEPS = 4

@@ -189,7 +189,7 @@ def test_tasks_count_the_steps_that_are_left():
         assert [*seen, bar.n] == [4, 6, 8, 10]
 
 
-@pytest.mark.filterwarnings("ignore:coarse_grain. no step is left")
+@pytest.mark.filterwarnings("ignore:no step is left")
 @pytest.mark.parametrize("lazily", [False, True])
 def test_a_scene_without_steps_has_results_without_steps(lazily):
     scene = random_steps(2)

@@ -11,7 +11,7 @@ import pytest
 
 import xcg
 from tests.benchmarks import series
-from xcg.fields.sums import segments
+from xcg.fields import segments
 from xcg.scene.complete import complete_particles
 from xcg.scene.frame import rows_of, stack
 from xcg.scene.schema import Setup

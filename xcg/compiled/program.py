@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
-from xcg.compiled.matrices import fit_rows
+from xcg.compiled.gradient_fit import fit_rows
 from xcg.compiled.simd import EIGHT, TILE, stream, transpose8x8
 
 # The operations of a step (operation, result, a, b). Results and operands are rows of the scratch,

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from xcg.readers.arguments import Arguments, Missing, Paths
 from xcg.readers.engine import Engine
-from xcg.readers.lazy import Chunks, indexed_arrays, lazy_arrays
+from xcg.readers.indexed import indexed_arrays
+from xcg.readers.lazy import Chunks, lazy_arrays
 from xcg.readers.saved import open_saved, saved_path
 from xcg.readers.series import (
     lacks_ids,

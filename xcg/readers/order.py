@@ -15,7 +15,7 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import StepRef
 from xcg.readers.filenames import read_file_numbers
 from xcg.readers.files.text import source_of
-from xcg.readers.lazy import Step
+from xcg.readers.read_steps import Step
 from xcg.scene.schema import Frame
 from xcg.steps import faults as errors
 

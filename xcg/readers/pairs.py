@@ -18,8 +18,8 @@ from xcg.common.checks import floats
 from xcg.common.messages import SceneError, printable, unknown, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
-from xcg.readers.lazy import Step, read_step
 from xcg.readers.order import order_steps
+from xcg.readers.read_steps import Step, read_step
 from xcg.readers.report import list_not_read, warn_of_columns
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import seconds_between

@@ -16,11 +16,12 @@ from xcg.common.messages import Once, SceneError, warn_user
 from xcg.readers.arguments import Arguments
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
-from xcg.readers.lazy import Series, Source, Step, read_step
+from xcg.readers.lazy import Series
 from xcg.readers.names import CLOCK_SLOTS
 from xcg.readers.order import cause_by_column, cause_by_files, warn_if_none_recurs
 from xcg.readers.pairs import from_first_date, index_files, origin_of, pair_steps
 from xcg.readers.paths import expand_paths, not_against_headers, units_of_headers
+from xcg.readers.read_steps import Source, Step, read_step
 from xcg.readers.report import check_plane, report_missing_ids
 from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_particles

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import program as loops
-from xcg.compiled.matrices import FOUND, flags_of
+from xcg.compiled.gradient_fit import FOUND, flags_of
 
 
 class UnknownOperation(NotImplementedError, TypeError):
@@ -156,7 +156,7 @@ def _each(array: NDArray, operation: int) -> NDArray:
 
 
 def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
-    """As `xcg.compiled.matrices.fit_gradient`, for symbols."""
+    """As `xcg.compiled.gradient_fit.fit_gradient`, for symbols."""
     record = sums[0, 0].record
     flags = flags_of(active, about_node)
     operands = [[symbol.number for symbol in column] for column in sums.T]

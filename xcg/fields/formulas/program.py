@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import program as loops
-from xcg.compiled.matrices import FOUND
+from xcg.compiled.gradient_fit import FOUND
 from xcg.compiled.simd import EIGHT
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.algebra import Trace, as_symbols, zero_if_unknown

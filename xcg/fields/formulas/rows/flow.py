@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled import matrices
+from xcg.compiled import gradient_fit
 from xcg.fields.formulas import floors
 from xcg.fields.formulas.algebra import (
     absolute,
@@ -53,22 +53,23 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     spread = _inner(s.spread)[np.triu_indices(3)]
     rows = (s.count, s.mass, s.momentum, s.offset, s.shear)
     sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(
-        matrices.SUMS, -1
+        gradient_fit.SUMS, -1
     )
-    fit = matrices.fit_gradient
+    fit = gradient_fit.fit_gradient
     if sums.dtype == object:
         fit = trace_fit
     results = fit(sums, active=o.active, about_node=about_node).reshape(-1, *nodes)
     parts = np.split(
-        results, (matrices.EXPLAINED, matrices.DETERMINED, matrices.MEAN, matrices.INVERSE)
+        results,
+        (gradient_fit.EXPLAINED, gradient_fit.DETERMINED, gradient_fit.MEAN, gradient_fit.INVERSE),
     )
     gradient, explained, determined, mean, inverse = parts
     return SimpleNamespace(
         gradient=_outer(gradient.reshape(3, 3, *nodes)),
-        explained=_outer(explained[matrices.SYMMETRIC]),
+        explained=_outer(explained[gradient_fit.SYMMETRIC]),
         determined=_outer(determined),
         mean=_outer(mean),
-        inverse=_outer(inverse[matrices.SYMMETRIC]),
+        inverse=_outer(inverse[gradient_fit.SYMMETRIC]),
     )
 
 
