@@ -243,6 +243,7 @@ def plot_phases(scene: Scene, index: int = -1) -> Figure:
 def _cluster(points: NDArray, most: int, seed: int) -> tuple[NDArray, list[float]]:
     """Labels of the best number of clusters, and the mean silhouettes of 2, 3, ... of them."""
     KMeans = extra("sklearn.cluster", "phases", "finding phases").KMeans
+    threadpool_limits = extra("threadpoolctl", "phases", "finding phases").threadpool_limits
 
     rng = np.random.default_rng(seed)
     sample = points
@@ -253,7 +254,10 @@ def _cluster(points: NDArray, most: int, seed: int) -> tuple[NDArray, list[float
     best = MIN_SILHOUETTE
     scores = []
     for k in range(2, min(most, distinct) + 1):
-        model = KMeans(k, n_init=5, random_state=seed).fit(sample)
+        with threadpool_limits(
+            1
+        ):  # threads of OpenMP wait in turns: 20 times as long beside other work
+            model = KMeans(k, n_init=5, random_state=seed).fit(sample)
         scores.append(_silhouette(sample, model.labels_, rng))
         if scores[-1] > best + 1e-6:  # of equal ones the fewest clusters
             best = scores[-1]

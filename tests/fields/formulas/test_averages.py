@@ -75,6 +75,9 @@ def test_profile_and_average_are_ratios_of_sums(lazy):
     if lazy:
         assert profile.velocity.chunks is not None
         assert average.inertial_number_error.chunks is not None
+        f = f.compute()
+        profile = profile.compute()
+        average = average.compute()
     assert profile.velocity.dims == ("time", "z", "component")
     assert_ratios_of_sums(profile, f, ["x", "y"])
     assert average.velocity.dims == ("x", "y", "z", "component")

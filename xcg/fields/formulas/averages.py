@@ -29,6 +29,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, Jackknife, jackknife
 from xcg.fields.formulas.doubts import NOT_NODES, Steadiness, unsure_sign, with_unknown_temperatures
 from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.one_task import in_one_task, is_small
 from xcg.fields.formulas.variables import row_of_result
 from xcg.fields.sums.kernels import Kernel, kernel_of
 from xcg.scene.conform import in_order, labels_along
@@ -152,6 +153,14 @@ def time_average(
         If there is no time or no dimension of runs, the meshes of runs differ, the window does not
         fit, or a sum that a ratio needs is not in the result.
     """
+    arguments: dict[str, Any] = {"window": window, "every": every, "dim": dim}
+    if dim == "time" and is_small(f):
+        return in_one_task(_time_average, f, arguments)
+    return _time_average(f, **arguments)
+
+
+def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr.Dataset:
+    """Average a result as `time_average` does, variable by variable."""
     of_runs = dim != "time"
     if of_runs:
         f, sums_beside = _with_sums(with_facts(f))

@@ -15,6 +15,7 @@ from xcg.fields.formulas.block_errors import Jackknife
 from xcg.fields.formulas.field import Options
 
 CHANCE = 0.0027  # of more than three standard errors
+SHARES = ("share_with_drift", "share_without_plateau")  # attributes of errors
 NOT_NODES = ("component", "direction", "phase", "other_phase")
 # Of fewer steps two errors hold less than 87 % (Student's t with one degree of freedom less).
 _FEW = 5.0
@@ -49,9 +50,9 @@ class Steadiness:
             return error
         drift, growth = self._shares(name)
         if error.chunks is None:
-            error.attrs["share_with_drift"] = float(drift)
+            error.attrs[SHARES[0]] = float(drift)
             if growth is not None:
-                error.attrs["share_without_plateau"] = float(growth)
+                error.attrs[SHARES[1]] = float(growth)
         zero = xr.zeros_like(drift)
         few, effective = zero, zero
         if weight is not None:
