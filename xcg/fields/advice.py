@@ -125,12 +125,17 @@ def _extent_of(scene: Scene) -> float:
 
 def _cuts(scene: Scene, plan: Plan) -> Warnings:
     """Warn of fixed coordinates that lie outside a periodic box."""
-    for a in scene.periods:
+    nodes = plan.nodes
+    for k, a in enumerate(COMPONENTS):
+        is_fixed = a in nodes.seen and a not in nodes.spacing
+        if scene.cylindrical or not is_fixed or a not in scene.periods:
+            continue
         low, high = scene.edges[a]
         # grains and cuts of scenes that were shifted, or are not wrapped, are beyond an edge by up
         # to a period
         room = high - low + plan.kernel.cutoff
-        beyond = [x for x in plan.nodes.cuts.get(a, ()) if not low - room <= x <= high + room]
+        ends = (nodes.lower[k], nodes.upper[k])
+        beyond = [x for x in ends if not low - room <= x <= high + room]
         if beyond:
             text = (
                 f"at={{{a!r}: {beyond[0]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "

@@ -58,14 +58,11 @@ class Sums:
         of_moments = {name for moment in plan.moments.values() for name in moment.variables}
         for name in of_moments - VARIABLES.keys():
             check_finite(name, step.frame, source)
-        of_passes: dict[str, dict[str, Moment]] = {over: {} for over in _PASSES}
+        kinds: dict[str, dict[str, Moment]] = {kind: {} for kind in _PASSES}
         for name, moment in plan.moments.items():
-            over = moment.over
-            if moment.level and moment.column:
-                over = "vectors"
-            of_passes[over][name] = moment
-        needed = [over for over, moments in of_passes.items() if moments]
-        prepared = for_each(needed, lambda over: _PASSES[over](step, of_passes[over]), threads)
+            kinds[moment.over][name] = moment
+        needed = [kind for kind, moments in kinds.items() if moments]
+        prepared = for_each(needed, lambda kind: _PASSES[kind](step, kinds[kind]), threads)
         self.plan = plan
         self.passes: list[Pass] = list(chain.from_iterable(prepared))
         self.table: dict[str, tuple[int, NDArray, NDArray]] = {}
@@ -200,7 +197,7 @@ def vectors(step: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
     """Prepare a pass for each vector that takes the place of velocity, so that it is kept relative to each node."""
     passes = []
     for name, moment in moments.items():
-        if moment.over == "contacts":
+        if moment.contacts:
             images, phase, share, contact = step.contact_points
             values = step.column(moment, images, contact)
             values[:, 0] *= share

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
-from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import KernelCode
 from xcg.fields.formulas import registry
@@ -40,8 +40,17 @@ from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
 from xcg.scene.summary import Summary
 
-# what passes go over, as the text of a plan names it
-_OVER = ("particles", "slopes", "contacts", "contact points", "means")
+# what passes go over, as the text of a plan names it, by `over` of their moments
+_OVER = {
+    "grains": "particles",
+    "slopes": "particles, with grad Psi",
+    "vectors": "particles or contact points, relative to means",
+    "contacts": "contact points",
+    "branches": "contacts",
+    "pairs": "contact points of two phases",
+    "walls": "contact points at walls",
+}
+_PASS_EACH = ("vectors", "branches")  # whose moments have a pass each
 DENSE = 0.6  # volume fraction of the packing for which the noise is estimated
 
 
@@ -155,33 +164,10 @@ class Plan:
         in_cache = CACHED // (8 * max(1, self._numbers))
         return min(BLOCK_NODES, max(FEWEST_NODES, in_cache))
 
-    @cached_property
-    def _columns(self) -> dict[str, list[int]]:
-        """Columns of each pass, by what it goes over."""
-        columns: dict[str, list[int]] = {over: [] for over in _OVER}
-        level = 0
-        constants = {"grains": 0, "contacts": 0}
-        for moment in self.moments.values():
-            if moment.over == "branches":
-                columns["contacts"].append(9)
-            elif moment.over == "slopes":
-                columns["slopes"] = [LINEAR]
-            elif moment.level and moment.column:
-                columns["means"].append(moment.level)
-            elif moment.level:
-                level = max(level, moment.level)
-            elif moment.column:
-                constants[moment.over] += math.prod(moment.shape)
-        if level + constants["grains"]:
-            columns["particles"] = [level + constants["grains"]]
-        if constants["contacts"]:
-            columns["contact points"] = [constants["contacts"]]
-        return columns
-
     @property
     def _numbers(self) -> int:
         """Number of sums at a node."""
-        return self.group_count * sum(map(sum, self._columns.values()))
+        return self.group_count * sum(moment.width for moment in self.moments.values())
 
     @cached_property
     def attrs(self) -> dict[str, Any]:
@@ -230,13 +216,12 @@ class Plan:
         kernel = f"{self.kernel!r}, seen in {len(nodes.seen)} of {self.kernel.dimension} dimensions"
         if len(self.widths) > 1:
             kernel += f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}"
-        passes = {over: len(columns) for over, columns in self._columns.items()}
-        loops = f"{passes['particles']} over particles, {passes['slopes']} with grad Psi, "
-        loops += f"{passes['contacts']} over contacts"
-        if passes["contact points"]:
-            loops += f", {passes['contact points']} over contact points"
-        if passes["means"]:
-            loops += f", {passes['means']} relative to means"
+        counts = Counter(moment.over for moment in self.moments.values())
+        loops = []
+        for over, passes in counts.items():
+            if over not in _PASS_EACH:
+                passes = 1
+            loops.append(f"{passes} over {_OVER[over]}")
         sums = min(nodes.count, self.block_nodes) * self._numbers
         outputs = sum(map(math.prod, self.shapes.values()))
         lines = {
@@ -246,7 +231,7 @@ class Plan:
             "averaged": ", ".join(averaged) or "none",
             "kernel": kernel,
             "sums": ", ".join(f"{m} ({row.formula})" for m, row in self.moments.items()),
-            "loops": loops,
+            "loops": ", ".join(loops),
             "contacts": self._rules(),
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
@@ -269,7 +254,7 @@ class Plan:
 
     def _rules(self) -> str:
         """Return how contacts are integrated along their branches, in words."""
-        if not self._columns["contacts"]:
+        if not any(moment.over == "branches" for moment in self.moments.values()):
             return "not read for stress"
         rules = "closed form"
         if len(self.limits):

@@ -117,7 +117,7 @@ class OwnField:
                 (3,) * self.rank,
                 column=partial(_weighted, q, self.weight),
                 contacts=self.at_contacts,
-                over=self._over,
+                over="contacts" if self.at_contacts else "grains",
             )
             return {f"{self.weight} {q}": moment}
         return dict(map(self._products, self._triples))
@@ -128,13 +128,6 @@ class OwnField:
         if self.weight == "number":
             return (self.quantity.variable,)
         return (self.quantity.variable, self.weight)
-
-    @property
-    def _over(self) -> str:
-        """What its sums go over."""
-        if self.at_contacts:
-            return "contacts"
-        return "grains"
 
     @property
     def _triples(self) -> list[tuple[_Number, ...]]:
@@ -170,7 +163,7 @@ class OwnField:
             layout=layout,
             vector=self.rank == 1 and isinstance(self.quantity, Variance),
             contacts=self.at_contacts,
-            over=self._over,
+            over="vectors",
         )
         return f"{self.weight} about {', '.join(map(_text, triple))}{squares}", moment
 

@@ -58,18 +58,10 @@ def check_places(
         )
 
 
-def labels_of(
-    nodes: Mapping[str, NDArray], fixed: Mapping[str, float], note: str = ""
-) -> tuple[dict[str, xr.Variable], dict[str, str]]:
-    """Coordinates of results, and where the nodes are in words, with a note about them."""
+def coords_of(nodes: Mapping[str, NDArray], fixed: Mapping[str, float]) -> dict[str, xr.Variable]:
+    """Return coordinates of results, of resolved and of fixed axes."""
     coords = {a: xr.Variable(a, x) for a, x in nodes.items()}
-    coords |= {a: xr.Variable((), x) for a, x in fixed.items()}
-    count = " x ".join(f"{len(x)} {a}" for a, x in nodes.items()) or "one"
-    text = {
-        "nodes": f"{count}{note}",
-        "fixed": ", ".join(f"{a} = {x:g}" for a, x in fixed.items()) or "none",
-    }
-    return coords, text
+    return coords | {a: xr.Variable((), x) for a, x in fixed.items()}
 
 
 class MeshTooLargeError(ValueError):
@@ -185,7 +177,6 @@ def make_grid(
             "larger spacing or smaller bounds"
         )
     fixed = {a: float(v) for a, v in at.items()}
-    coords, text = labels_of(nodes, fixed)
     firsts = fixed | {a: float(x[0]) for a, x in nodes.items()}
     origin = np.array([firsts.get(a, 0.0) for a in COMPONENTS])
     steps_along = np.array([distances.get(a, 0.0) for a in COMPONENTS])
@@ -194,14 +185,12 @@ def make_grid(
     return Nodes(
         dims=tuple(axes),
         sizes=tuple(shape.values()),
-        coords=coords,
+        coords=coords_of(nodes, fixed),
         seen="".join(a for a in COMPONENTS if a in nodes or a in fixed),
         averaged="".join(a for a in plane if a not in nodes and a not in fixed),
         origin=origin,
         lower=origin - half,
         upper=last + half,
-        text=text,
-        cuts={a: (place, place) for a, place in fixed.items()},
         spacing=distances,
         fitted="".join(a for a in axes if a not in bounds and a not in period),
     )

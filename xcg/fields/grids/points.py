@@ -156,9 +156,6 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Nodes:
     place = (position - origin[:, None]) / cutoff
     divided = _divide(np.arange(position.shape[1], dtype="uint64"), place, most)
     parts = tuple(for_each(list(divided), lambda part: PointBlock.of(*part, cutoff), THREADS))
-    cuts = {a: (float(lower[k]), float(upper[k])) for k, a in enumerate(COMPONENTS) if a in arrays}
-    spans = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, (low, high) in cuts.items())
-    text = " x ".join(f"{size} {dim}" for dim, size in sizes.items())
     coords: dict[str, xr.Variable] = {}
     for array in arrays.values():
         coords |= {str(name): coord.variable for name, coord in array.coords.items()}
@@ -172,8 +169,6 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Nodes:
         origin,
         lower,
         upper,
-        {"nodes": f"{text}, points with {spans}", "fixed": "none"},
-        cuts,
         parts=parts,
     )
 

@@ -18,7 +18,7 @@ from xcg.fields.grids.grid import (
     Bounds,
     check_axes,
     check_places,
-    labels_of,
+    coords_of,
     nodes_along,
 )
 from xcg.fields.grids.points import PointBlock
@@ -150,10 +150,7 @@ def make_rings(
     parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, count))
     # on the axis r and theta have no direction
     on_axis = np.flatnonzero(np.repeat(radii == 0.0, len(rules[0]) * len(heights)))
-    note = ""
-    if any(part.count > len(part.places) for part in parts):
-        note = f", averages over {count} places"
-    coords, text = labels_of(nodes, fixed, note)
+    coords = coords_of(nodes, fixed)
     seen = "".join(a for a in "xyz" if a in {"x", "y", *coords})
     return Nodes(
         tuple(nodes),
@@ -164,7 +161,6 @@ def make_rings(
         origin,
         lower,
         upper,
-        text,
         parts=parts,
         undirected=on_axis,
         attrs={"theta_error": error_met},

@@ -283,6 +283,7 @@ class Moment:
         What is summed over: "grains"; "contacts", where a row of `column` is a contact, which
         stands at its contact point; "branches", where `column` gives what each side of a contact
         carries along its branch, (2, contacts, 3) for i and j, or without a column the force;
+        "vectors", a `column` in the place of velocity, of grains or, with `contacts`, of contacts;
         "pairs", forces between phases at the contact points; "walls", forces of walls at the
         contact points; or "slopes", kinematic columns weighted by grad Psi.
     layout : tuple
@@ -430,10 +431,13 @@ MOMENTS: dict[str, Moment] = {
     # in passes of their own, relative to the node
     "rotation": Moment(
         _I_OMEGA, "I (1, o, o o), I^2 Psi, o = omega", (11,), loops.FLUCTUATION,
-        column=partial(weighted, *_I_OMEGA), layout=_ABOUT,
+        column=partial(weighted, *_I_OMEGA), over="vectors", layout=_ABOUT,
         units=("kg m^2", *("J s",) * 3, *("J",) * 6, "kg^2 m"),
     ),
-    "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=partial(weighted, *_MV), units="J m s^-1"),
+    "cubes": Moment(
+        _MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=partial(weighted, *_MV), over="vectors",
+        units="J m s^-1",
+    ),
     "load_bearing": Moment((), "1, where z > 1", column=partial(of_contacts, "load_bearing"), contacts=True),
     "load_bearing_partners": Moment((), "z, where z > 1", column=load_bearing_partners, contacts=True),
     # at the contact points

@@ -122,10 +122,6 @@ class Nodes:
     origin, lower, upper : array (3,)
         The place that loops take others relative to, and bounds of the nodes, or of the cells of
         `xcg.cell_volumes` (m).
-    text : mapping
-        Where the nodes are, in words.
-    cuts : mapping
-        Lowest and highest coordinate along each axis that is fixed, not resolved (m).
     spacing : mapping
         Distance of nodes along each resolved axis of a mesh (m).
     fitted : str
@@ -151,8 +147,6 @@ class Nodes:
     origin: NDArray
     lower: NDArray
     upper: NDArray
-    text: Mapping[str, str]
-    cuts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     spacing: Mapping[str, float] = field(default_factory=dict)
     fitted: str = ""
     parts: Sequence[Block] | None = None
@@ -169,6 +163,21 @@ class Nodes:
             step = np.inf
         self.shape = triple([length.get(a, 1) for a in COMPONENTS])
         self.steps = np.array([self.spacing.get(a, step) for a in COMPONENTS])
+
+    @property
+    def text(self) -> dict[str, str]:
+        """Where the nodes are, in words."""
+        nodes = " x ".join(f"{size} {dim}" for dim, size in zip(self.dims, self.sizes, strict=True))
+        parts = self.parts or ()
+        places = sum(part.count for part in parts)
+        if parts and parts[0].rings is None:
+            ends = zip(COMPONENTS, self.lower, self.upper, strict=True)
+            spans = [f"{a} from {low:.6g} to {high:.6g}" for a, low, high in ends if a in self.seen]
+            return {"nodes": f"{nodes}, points with {', '.join(spans)}", "fixed": "none"}
+        if places > self.count:
+            nodes = f"{nodes or 'one'}, averages over {places} places"
+        fixed = [f"{a} = {float(x):g}" for a, x in self.coords.items() if not x.dims]
+        return {"nodes": nodes or "one", "fixed": ", ".join(fixed) or "none"}
 
     @property
     def axes(self) -> str:
