@@ -220,21 +220,19 @@ def test_velocity_autocorrelation_of_langevin_grains_decays_by_its_friction():
 
 
 def test_velocity_autocorrelation_follows_grains_by_their_ids():
-    """Rows of other grains between, and one that leaves."""
-    v = np.array([[1.0, 0, 0], [0, 2.0, 0], [0, 0, 3.0]])
-    ids = [[1, 2, 3], [2, 3], [2, 3]]
-    velocity = [v, v[1:], v[1:]]
-    position = [np.eye(3), np.eye(3)[1:], np.eye(3)[1:]]
+    """In other rows at each step; one leaves, and another enters."""
+    v = {1: [1.0, 0, 0], 2: [0, 2.0, 0], 3: [0, 0, 3.0], 0: [5.0, 0, 0]}
+    ids = [[1, 2, 3], [0, 3, 2], [3, 2]]
     ds = xcg.scene_from_arrays(
-        position,
-        velocity=velocity,
+        [np.eye(3)[: len(rows)] for rows in ids],
+        velocity=[np.array([v[row] for row in rows]) for rows in ids],
         particle_id=ids,
         diameter=[np.full(len(rows), 0.1) for rows in ids],
         time=[0.0, 1.0, 2.0],
     )
     c = ds.cg.velocity_autocorrelation([1, 2], remove_drift=False)
-    # lag 0: squares 1 + 4 + 9, and 4 + 9 twice, of 7 grains; then 4 + 9 of two grains
-    np.testing.assert_allclose(c.velocity_autocorrelation, [40 / 7, 6.5, 6.5])
-    assert c.pair_count.values.tolist() == [7, 4, 2]
+    # lag 0: squares 1 + 4 + 9, 25 + 9 + 4 and 9 + 4, of 8 grains; then 4 + 9 of two grains
+    np.testing.assert_allclose(c.velocity_autocorrelation, [65 / 8, 6.5, 6.5])
+    assert c.pair_count.values.tolist() == [8, 4, 2]
     with pytest.raises(xcg.SceneError, match="velocity"):
         ds.drop_vars("velocity").cg.velocity_autocorrelation()

@@ -332,6 +332,22 @@ def test_a_scene_without_contacts_raises():
         ds.drop_vars("contact_force").cg.wall_stress(FLOOR)
 
 
+CORNERS = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 5.0, 0.0], [0.0, 5.0, 0.0]])
+
+
+@pytest.mark.parametrize("scale", [1000.0, 1e-3])
+def test_triangles_in_another_unit_are_refused(scale):
+    """Before memory ends: of the larger ones, flow_rate would take 25 million parts."""
+    ds = xcg.datasets.random_scene(200, walls=True, periodic="xy")
+    rows = [[0, 1, 2], [0, 2, 3]]
+    ds.cg.wall_stress(xcg.Surface(CORNERS, rows), width=0.5)
+    ds.cg.flow_rate(xcg.Surface(CORNERS + np.array([0, 0, 2]), rows), width=0.5)
+    wrong = xcg.Surface(scale * CORNERS, rows)
+    for use in (ds.cg.wall_stress, ds.cg.flow_rate):
+        with pytest.raises(ValueError, match=r"in another unit of length.*scale=0\.001"):
+            use(wrong, width=0.5)
+
+
 @pytest.mark.parametrize(
     "wall",
     [

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import axis_vector
 from xcg.fields.grids.frames import axis_of
-from xcg.fields.grids.walls import Cylinder, Surface, SurfaceCells, Wall
+from xcg.fields.grids.walls import Cylinder, Surface, SurfaceCells, Wall, check_count
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS
@@ -50,8 +50,6 @@ def open_ends(surface: Wall, cells: SurfaceCells, scene: Scene) -> dict[str, tup
 
 def small_cells(surface: Wall, scene: Scene, spacing: float) -> SurfaceCells:
     """Return small cells of a surface."""
-    if isinstance(surface, Surface):
-        return SurfaceCells({}, *_parts_of_triangles(surface, spacing), COMPONENTS)
     corners = np.full((2, 3), np.nan)
     if scene.corners is not None:
         corners = np.array(scene.corners)
@@ -59,6 +57,9 @@ def small_cells(surface: Wall, scene: Scene, spacing: float) -> SurfaceCells:
     for a in scene.periods:
         k = COMPONENTS.index(a)
         lower[k], upper[k] = scene.edges[a]
+    if isinstance(surface, Surface):
+        surface.check_unit(lower, upper, scene.sizes.get("d43", 0.0))
+        return SurfaceCells({}, *parts_of_triangles(surface, spacing), COMPONENTS)
     layer = scene.layer
     if layer is None:
         return surface.cells(lower, upper, spacing)
@@ -74,13 +75,14 @@ def small_cells(surface: Wall, scene: Scene, spacing: float) -> SurfaceCells:
     return replace(cells, area=cells.area * inside)
 
 
-def _parts_of_triangles(surface: Surface, spacing: float) -> tuple[NDArray, NDArray]:
+def parts_of_triangles(surface: Surface, spacing: float) -> tuple[NDArray, NDArray]:
     """Centres (n, 3) and areas (n,) of equal parts of triangles, no wider than `spacing`."""
     centres = []
     areas = []
-    for a, b, c in surface.corners:
-        longest = max(np.linalg.norm(edge) for edge in (b - a, c - b, a - c))
-        count = max(1, int(np.ceil(longest / spacing)))
+    edges = np.linalg.norm(surface.corners - np.roll(surface.corners, 1, axis=1), axis=2)
+    counts = np.maximum(1.0, np.ceil(edges.max(axis=1) / spacing))
+    check_count(surface, (counts**2).sum())
+    for (a, b, c), count in zip(surface.corners, counts.astype(int).tolist(), strict=True):
         grid = np.indices((count, count)).reshape(2, -1).T
         upright = grid.sum(axis=1) < count
         turned = grid.sum(axis=1) < count - 1

@@ -14,7 +14,7 @@ from xcg.analysis.surfaces import attrs_of, check_surface, open_ends
 from xcg.common.checks import POSITIVE, check
 from xcg.common.messages import warn_once
 from xcg.fields.grids.grid import warn_beyond
-from xcg.fields.grids.walls import SurfaceCells, Wall
+from xcg.fields.grids.walls import Surface, SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts, Walls, select_walls
@@ -118,6 +118,8 @@ def wall_stress(
         scene = Scene(select_walls(scene.ds, walls))
     smooth = kernel_of(kernel, width, scene.sizes, 2)
     low, high = _box_of_grains(scene)
+    if isinstance(surface, Surface):
+        surface.check_unit(low, high, scene.sizes.get("d43", 0.0))
     cells = surface.cells(low, high, float(spacing or smooth.width / 2))
     analysis = _WallStress(surface, cells, smooth, float(within or smooth.width))
     return run(scene, analysis, call=call, on_error=on_error)

@@ -34,6 +34,7 @@ from xcg.scene.schema import COMPONENTS
 
 _FILES = (".stl", ".obj", ".ply", ".vtp", ".vtk")
 _MOST_CELLS = 2**24
+_FARTHEST = 100.0  # extents of the grains that a surface may have: units are 1000 apart
 
 
 def cell_centres(low: float, high: float, spacing: float, what: str) -> NDArray:
@@ -47,9 +48,8 @@ def cell_centres(low: float, high: float, spacing: float, what: str) -> NDArray:
     return low + (high - low) * (np.arange(count) + 0.5) / count
 
 
-def _check_count(wall: object, *sides: NDArray) -> None:
-    """Raise ValueError if cells on a grid of these sides are more than memory is worth."""
-    count = math.prod(len(side) for side in sides)
+def check_count(wall: object, count: float) -> None:
+    """Raise ValueError if the cells of a wall are more than memory is worth."""
     if count >= _MOST_CELLS:
         raise ValueError(
             f"{wall!r} would have {count:.2g} cells of the kernel's size, expected fewer than "
@@ -271,7 +271,7 @@ class Plane(Wall):
             side = cell_centres(low, high, spacing, dim)
             size *= (high - low) / len(side)
             coords[dim] = (side, f"position along {dim}")
-        _check_count(self, *(side for side, _ in coords.values()))
+        check_count(self, math.prod(len(side) for side, _ in coords.values()))
         sides = np.meshgrid(*(side for side, _ in coords.values()), indexing="ij")
         first, second = (a.reshape(-1, 1) for a in sides)
         centre = self._origin + first * self._frame[1] + second * self._frame[2]
@@ -405,7 +405,7 @@ class Cylinder(Wall):
             high = float(self.high)
         theta = cell_centres(0.0, 2 * np.pi, spacing / self.radius, "theta")
         along = cell_centres(low, high, spacing, "the axis")
-        _check_count(self, theta, along)
+        check_count(self, len(theta) * len(along))
         angle, z = (a.ravel() for a in np.meshgrid(theta, along, indexing="ij"))
         axis, first, second = self._frame
         radial = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
@@ -494,6 +494,20 @@ class Surface(Wall):
 
     def __repr__(self) -> str:
         return f"Surface({len(self.area)} triangles, {self.area.sum():g} m2)"
+
+    def check_unit(self, lower: NDArray, upper: NDArray, size: float) -> None:
+        """Raise ValueError if the surface is far larger than the grains, or smaller than one.
+
+        `lower` and `upper` (3,) are corners of the box around grains of diameter `size`.
+        """
+        extent = float(np.ptp(self.corners.reshape(-1, 3), axis=0).max())
+        whole = float((upper - lower).max())
+        if extent > _FARTHEST * whole > 0 or extent < size / 2:
+            raise ValueError(
+                f"{self!r} extends over {extent:.3g}, grains of {size:.3g} over {whole:.3g}: is it in another "
+                "unit of length than the scene? xcg.Surface(..., scale=0.001) takes a file in mm for a "
+                "scene in m. Of a surface that is really so large, pass the part at the grains"
+            )
 
     def _nearest(self, points: NDArray) -> tuple[NDArray, NDArray]:
         """Signed distance (n,), and the number of the nearest triangle (n,)."""
