@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,9 +18,9 @@ from xcg.scene.contacts import Contacts
 from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
-from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, PADDING, Frame, Variable, units_in
+from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, PADDING, Frame, Variable
 from xcg.scene.times import require_times
-from xcg.steps.labels import annotated, call_of, label
+from xcg.steps.labels import call_of, label, labelled_table, with_errors
 from xcg.steps.mapping import each_step
 
 # intervals that are longer than the median by more than this share are gaps
@@ -149,12 +148,16 @@ def contact_history(scene: Scene, lags: int | Sequence[int] | None = None) -> xr
     call = call_of("contact_history", {"lags": chosen})
     result = label(ds, _ROWS, arrays, call)
     count = arrays["contact_count"]
+    values, errors = _persistence(survivors, count, times, interval, chosen)
     system = scene.setup.unit_system
-    ages = np.concatenate([np.zeros(0), *lifetimes])
-    lost = annotated("lost", ages, units_in("s", system), "lifetime of lost contacts")
-    return result.assign(
-        lifetime=lost, **_persistence(survivors, count, times, interval, chosen, system)
-    )
+    ages = xr.Variable("lost", np.concatenate([np.zeros(0), *lifetimes]))
+    at = xr.Variable("lag", interval * np.array(chosen))
+    table = {
+        "lifetime": (ages, "s", "lifetime of lost contacts"),
+        "lag": (at, "s", "time between two steps"),
+    }
+    about = {"persistence": ("1", "share of contacts that last a lag")}
+    return result.assign(labelled_table(table, system)).assign(with_errors(values, errors, about))
 
 
 def _warn_of_gaps(times: NDArray, interval: float) -> None:
@@ -230,14 +233,9 @@ def _angle(one: NDArray, other: NDArray) -> NDArray:
 
 
 def _persistence(
-    survivors: NDArray,
-    count: NDArray,
-    times: NDArray,
-    interval: float,
-    lags: Sequence[int],
-    system: str,
-) -> dict[str, Any]:
-    """Return the persistence by lag and its error, from survivors (first step, lag)."""
+    survivors: NDArray, count: NDArray, times: NDArray, interval: float, lags: Sequence[int]
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return the persistence (lag) and its error, from survivors (first step, lag)."""
     values = []
     errors = []
     for k, lag in enumerate(lags):
@@ -245,17 +243,11 @@ def _persistence(
         samples = xr.Dataset(
             {"of": ("first", count[:-lag][even]), "stay": ("first", survivors[:-lag, k][even])}
         ).astype(float)
-        values.append(_share(samples.sum("first")).share)
-        errors.append(block_errors(samples, "first", _share).share)
-    text = "share of contacts that last a lag"
-    at = interval * np.array(lags)
-    return {
-        "lag": annotated("lag", at, units_in("s", system), "time between two steps"),
-        "persistence": annotated("lag", values, "1", text),
-        "persistence_error": annotated("lag", errors, "1", f"standard error of the {text}"),
-    }
+        values.append(_share(samples.sum("first")))
+        errors.append(block_errors(samples, "first", _share))
+    return xr.concat(values, "lag"), xr.concat(errors, "lag")
 
 
 def _share(sums: xr.Dataset) -> xr.Dataset:
     """Return the share of contacts that stay, NaN for none."""
-    return xr.Dataset({"share": sums["stay"] / sums["of"].where(sums["of"] > 0)})
+    return xr.Dataset({"persistence": sums["stay"] / sums["of"].where(sums["of"] > 0)})

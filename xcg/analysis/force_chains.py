@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -33,7 +34,7 @@ from xcg.scene.schema import BOX, Frame, Variable
 from xcg.scene.times import require_rising_times, unit_of_times
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
-from xcg.steps.labels import annotated, call_of, provenance
+from xcg.steps.labels import annotated, call_of, labelled_table, provenance
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the
@@ -375,19 +376,23 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     birth = times[first]
     end = times[first + seen - 1]
     unit = unit_of_times(fc)
-    by_chain = ("time", "chain")
-    data = {
-        "track_id": annotated(by_chain, track, "1", "track of the chain, -1 where there is none"),
-        "births": annotated("time", births, "1", "chains that continue none of the step before"),
-        "deaths": annotated("time", deaths, "1", "chains of the step before that none continues"),
-        "survivors": annotated(
-            "time", survivors, "1", "chains that continue one of the step before"
+    in_step = partial(xr.Variable, "time")
+    of_track = partial(xr.Variable, "track")
+    table = {
+        "track_id": (
+            xr.Variable(("time", "chain"), track),
+            "1",
+            "track of the chain, -1 where there is none",
         ),
-        "birth_time": annotated("track", birth, unit, "first time of the track"),
-        "last_time": annotated("track", end, unit, "last time of the track"),
-        "lifetime": annotated("track", end - birth, unit, "time from first to last step"),
-        "steps": annotated("track", seen, "1", "steps of the track"),
+        "births": (in_step(births), "1", "chains that continue none of the step before"),
+        "deaths": (in_step(deaths), "1", "chains of the step before that none continues"),
+        "survivors": (in_step(survivors), "1", "chains that continue one of the step before"),
+        "birth_time": (of_track(birth), unit, "first time of the track"),
+        "last_time": (of_track(end), unit, "last time of the track"),
+        "lifetime": (of_track(end - birth), unit, "time from first to last step"),
+        "steps": (of_track(seen), "1", "steps of the track"),
     }
+    data = labelled_table(table)
     coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
     return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))
 
