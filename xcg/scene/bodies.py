@@ -82,13 +82,13 @@ def group_bodies(scene: Scene, by_body: str = "body_id") -> xr.Dataset:
     outputs = [*particles, *contacts]
     if "volume" in ds and "diameter" not in ds:
         outputs.append("diameter")
-    given = {name: ds[name] for name in (*particles, *contacts, *OF_STEP) if name in ds}
-    given["body"] = ds[by_body]
-    core = {name: [d for d in array.dims if d != "time"] for name, array in given.items()}
-    whole = [in_whole_rows(array) for array in given.values()]
+    inputs = {name: ds[name] for name in (*particles, *contacts, *OF_STEP) if name in ds}
+    inputs["body"] = ds[by_body]
+    core = {name: [d for d in array.dims if d != "time"] for name, array in inputs.items()}
+    whole = [in_whole_rows(array) for array in inputs.values()]
     setup = scene.setup
     arrays = xr.apply_ufunc(
-        partial(_over_time, names=list(given), outputs=outputs, periodic=setup.periodic),
+        partial(_over_time, names=list(inputs), outputs=outputs, periodic=setup.periodic),
         *whole,
         input_core_dims=list(core.values()),
         output_core_dims=[list(variable(name).dims) for name in outputs],
@@ -114,18 +114,18 @@ def group_bodies(scene: Scene, by_body: str = "body_id") -> xr.Dataset:
 def _over_time(
     *arrays: NDArray, names: list[str], outputs: list[str], periodic: str
 ) -> tuple[NDArray, ...]:
-    given = dict(zip(names, arrays, strict=True))
+    inputs = dict(zip(names, arrays, strict=True))
     rows = {
-        variable(name).dims[0]: given[name].shape[1]
+        variable(name).dims[0]: inputs[name].shape[1]
         for name in ("particle_id", "contact_i")
-        if name in given
+        if name in inputs
     }
     out = {}
     for name in outputs:
         kind = variable(name)
         shape = kind.shape(rows[kind.dims[0]])
         out[name] = np.full((len(arrays[0]), *shape), kind.fill, kind.dtype)
-    for t, (frame, lattice, source) in enumerate(steps_in(given, periodic)):
+    for t, (frame, lattice, source) in enumerate(steps_in(inputs, periodic)):
         bodies, id_of_row = _bodies(frame, lattice, f"group_bodies, {source}")
         if "contact_i" in frame:
             for side in ("contact_i", "contact_j"):

@@ -110,17 +110,17 @@ def domain_of(
     return domain
 
 
-def _entries(steps: int, given: Mapping[str, ArrayLike], name: str) -> NDArray:
+def _entries(steps: int, entries: Mapping[str, ArrayLike], name: str) -> NDArray:
     """Matrices (t, 3, 3) of numbers such as {"xy": value}, in row y and column x."""
-    wrong = {repr(given)}
-    if isinstance(given, Mapping):
-        wrong = set(given) - set(_SHEARS)
+    wrong = {repr(entries)}
+    if isinstance(entries, Mapping):
+        wrong = set(entries) - set(_SHEARS)
     if wrong:
         raise SceneError(
             f"{name} names {sorted(wrong)}: expected a mapping from {', '.join(_SHEARS)} to numbers"
         )
     out = np.zeros((steps, 3, 3))
-    for key, values in given.items():
+    for key, values in entries.items():
         i, j = (COMPONENTS.index(axis) for axis in key)
         numbers = floats(values)
         if numbers.shape not in ((), (steps,)) or not np.isfinite(numbers).all():
@@ -267,7 +267,7 @@ class BoxMotion:
                 "or more are wrong. Write steps more often, or with images (ix iy iz, or xu yu zu)",
             )
 
-    def relative(self, first: Frame, later: Frame, here: NDArray, there: NDArray) -> NDArray:
+    def relative(self, first: Frame, later: Frame, rows: NDArray, later_rows: NDArray) -> NDArray:
         """Return the displacements (n, 3) of grains, less that of the box where they were.
 
         Frames with ``image`` say which image each grain went to; in others it is the one that moved
@@ -277,7 +277,7 @@ class BoxMotion:
         ----------
         first, later : Frame
             The two frames.
-        here, there : array (n,)
+        rows, later_rows : array (n,)
             Rows of the same grains in the first and in the later frame.
 
         Raises
@@ -285,19 +285,19 @@ class BoxMotion:
         SceneError
             If ``image`` changes along an axis that is not periodic.
         """
-        position = first["position"][here]
-        moved = later["position"][there] - position - self.shift - position @ self.gradient.T
+        position = first["position"][rows]
+        moved = later["position"][later_rows] - position - self.shift - position @ self.gradient.T
         if "image" not in first:
             return self.lattice.shortest(moved)
-        before = first["image"][here]
-        after = later["image"][there]
+        before = first["image"][rows]
+        after = later["image"][later_rows]
         axes = self.lattice.axes
         crossed = np.argwhere(np.delete(after - before, axes, axis=1))
         if crossed.size:
             row, k = crossed[0]
             axis = np.delete(list(COMPONENTS), axes)[k]
             raise SceneError(
-                f"particle {first['particle_id'][here][row]} has another image along '{axis}' than before, and the "
+                f"particle {first['particle_id'][rows][row]} has another image along '{axis}' than before, and the "
                 f"scene is not periodic along it; give periodic= with '{axis}', or ds.drop_vars('image')"
             )
         return moved + (after[:, axes] - before[:, axes] @ self.turned) @ self.lattice.given

@@ -93,11 +93,11 @@ def _typed(frame: dict[str, Any], setup: Setup, source: str) -> Frame:
         if row.dtype == "int64" and array.dtype.kind == "f":
             bad = np.flatnonzero(~((array == np.rint(array)) & (np.abs(array) < _WHOLE)))
             if bad.size:
-                found = array.flat[bad[0]]
+                value = array.flat[bad[0]]
                 why = "; tables are read as floats, which hold no larger ones: number them anew"
                 raise SceneError(
-                    f"{source}: '{name}' must hold whole numbers below 2^53, but row {bad[0]} is {found}"
-                    f"{why * bool(_WHOLE <= abs(found) < np.inf)}"
+                    f"{source}: '{name}' must hold whole numbers below 2^53, but row {bad[0]} is {value}"
+                    f"{why * bool(_WHOLE <= abs(value) < np.inf)}"
                 )
         try:
             if array.dtype.kind in "cmM":  # NumPy would make numbers of them
@@ -151,14 +151,14 @@ def complete_particles(
         If an array has the wrong shape or is not finite, an id is negative or occurs twice, a size
         is not positive, or a mass is negative.
     """
-    given = _typed(frame, setup, source)
-    if not np.ndim(given.get("position", 0.0)):
+    typed = _typed(frame, setup, source)
+    if not np.ndim(typed.get("position", 0.0)):
         raise SceneError(
             f"{source}: no positions; expected a variable 'position' with three components"
         )
-    count = len(given["position"])
-    ids = given.setdefault("particle_id", np.arange(count, dtype="int64"))
-    _check_rows(given, "particle", source)
+    count = len(typed["position"])
+    ids = typed.setdefault("particle_id", np.arange(count, dtype="int64"))
+    _check_rows(typed, "particle", source)
     if (ids < 0).any():
         row = int(ids.argmin())
         raise SceneError(
@@ -169,27 +169,27 @@ def complete_particles(
     if order is not None:
 
         def sort(name: str) -> None:  # few at a time, as each is there twice for a while
-            target = memory.empty(given[name].shape, given[name].dtype)
-            given[name] = np.take(given[name], order, axis=0, out=target, mode="clip")
+            target = memory.empty(typed[name].shape, typed[name].dtype)
+            typed[name] = np.take(typed[name], order, axis=0, out=target, mode="clip")
 
-        for_each(list(given), sort, threads)
-        ids = given["particle_id"]
+        for_each(list(typed), sort, threads)
+        ids = typed["particle_id"]
         del order
     for name in ("diameter", "density", "volume"):
-        if name in given:
-            _require(given[name] > 0, name, "a positive number", given, source)
+        if name in typed:
+            _require(typed[name] > 0, name, "a positive number", typed, source)
     for name in ("mass", "moment_of_inertia"):
-        if name in given:
-            _require(given[name] >= 0, name, "0 or more", given, source)
-    unwrapped = given.pop("unwrapped_position", None)
+        if name in typed:
+            _require(typed[name] >= 0, name, "0 or more", typed, source)
+    unwrapped = typed.pop("unwrapped_position", None)
     if unwrapped is not None and lattice is not None:
-        given["image"] = _images(given["position"], unwrapped, lattice, ids, source)
-    _complete_size_and_mass(given, setup)
-    if "body_id" in given:
-        given["body_id"] = _without_default_body(given["body_id"], source)
-    if "diameter" in given:
-        _check_diameters(given["diameter"], ids, source)
-    return given
+        typed["image"] = _images(typed["position"], unwrapped, lattice, ids, source)
+    _complete_size_and_mass(typed, setup)
+    if "body_id" in typed:
+        typed["body_id"] = _without_default_body(typed["body_id"], source)
+    if "diameter" in typed:
+        _check_diameters(typed["diameter"], ids, source)
+    return typed
 
 
 def _check_diameters(diameter: NDArray, ids: NDArray, source: str) -> None:
@@ -419,20 +419,20 @@ def complete_contacts(
         sides, a contact that is listed from both sides with the same force, or normals across the
         lines of centres of spheres.
     """
-    given = _typed(
+    typed = _typed(
         {name: values for name, values in frame.items() if name not in HINTS}, setup, source
     )
-    if "wrapped_branch" in frame and "contact_normal" not in given:
+    if "wrapped_branch" in frame and "contact_normal" not in typed:
         branch = np.asarray(frame["wrapped_branch"]) * setup.scales[0]
-        given["contact_normal"] = unit_vectors(lattice.shortest(branch))
-    missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
+        typed["contact_normal"] = unit_vectors(lattice.shortest(branch))
+    missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in typed]
     if missing:
         raise SceneError(
             f"{source}: contacts lack {', '.join(missing)}; pass {missing[0]}=, or map columns by names="
         )
-    _check_rows(given, "contact", source)
-    seen = given.pop("contact_branch", None)
-    i, j = given["contact_i"], given["contact_j"]
+    _check_rows(typed, "contact", source)
+    seen = typed.pop("contact_branch", None)
+    i, j = typed["contact_i"], typed["contact_j"]
     number = np.asarray(frame.get("row_of_file", np.arange(len(i))))
     ids = particles["particle_id"]
     row_i, row_j = rows_of(ids, i), rows_of(ids, j)
@@ -455,15 +455,15 @@ def complete_contacts(
         row = int(np.flatnonzero(unknown)[0])
         name = "contact_i" if row_i[row] < 0 else "contact_j"
         raise SceneError(
-            f"{source}: contact row {number[row]} has {name}={given[name][row]}, and no particle has this id "
+            f"{source}: contact row {number[row]} has {name}={typed[name][row]}, and no particle has this id "
             f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass "
             "allow_unknown=True to treat unknown partners as walls"
         )
     derived = np.asarray(
-        frame.get("point_is_middle", np.full(len(i), "contact_point" not in given))
+        frame.get("point_is_middle", np.full(len(i), "contact_point" not in typed))
     )
     if are_spheres(particles):
-        spheres = SphereContacts(given, number, particles, row_i, row_j, seen, lattice, source)
+        spheres = SphereContacts(typed, number, particles, row_i, row_j, seen, lattice, source)
         dropped = spheres.rows_without_contact()
         if dropped.size:  # all else depends on the rows
             kept = {
@@ -479,19 +479,19 @@ def complete_contacts(
                 allow_unknown=allow_unknown,
                 columns=columns,
             )
-        given |= _checked_geometry(spheres, frame, columns or {}, setup.shape)
-        if "contact_point" in given and "point_is_middle" not in frame:
+        typed |= _checked_geometry(spheres, frame, columns or {}, setup.shape)
+        if "contact_point" in typed and "point_is_middle" not in frame:
             spheres.warn_of_coincident_centres()
             if spheres.points_are_middles():
                 derived = (row_i >= 0) & (row_j >= 0)
             else:
                 spheres.warn_of_points_elsewhere()
-    if derived.any() or "contact_point" not in given:
-        given["contact_point"] = _derive_points(
-            given, number, derived, particles, row_i, row_j, seen, lattice, source
+    if derived.any() or "contact_point" not in typed:
+        typed["contact_point"] = _derive_points(
+            typed, number, derived, particles, row_i, row_j, seen, lattice, source
         )
     del row_i, row_j, unknown, derived
-    return without_repeats(given, number, particles, lattice, setup.sides, source)
+    return without_repeats(typed, number, particles, lattice, setup.sides, source)
 
 
 def _checked_geometry(
@@ -538,13 +538,13 @@ def _derive_points(
             None if seen is None else seen[some],
             lattice,
         )
-        found = _plain_points(*of_block)
-        if found is None:
+        block_points = _plain_points(*of_block)
+        if block_points is None:
             block = {name: values[some] for name, values in contacts.items()} | {
                 "row_of_file": number[some]
             }
-            found = _contact_points(block, *of_block, source)
-        if found is None:
+            block_points = _contact_points(block, *of_block, source)
+        if block_points is None:
             warn_once(
                 "branches of contacts",
                 f"{source}: branches of contacts are not the vectors from j to i between the positions, or cross an "
@@ -554,7 +554,7 @@ def _derive_points(
             return _derive_points(
                 contacts, number, derived, particles, row_i, row_j, None, lattice, source
             )
-        points[some] = found
+        points[some] = block_points
     return points
 
 
@@ -623,8 +623,9 @@ def _contact_points(
         return None
     same = both[(branch == 0.0).all(axis=1)]
     warn_of_coincident(contacts["contact_i"][same], contacts["contact_j"][same], source)
-    points[both] = found = contact_points(centre, branch, radius_i, radius_j)
-    for side in (centre - found, centre - found - branch):
+    between = contact_points(centre, branch, radius_i, radius_j)
+    points[both] = between
+    for side in (centre - between, centre - between - branch):
         refuse(
             np.flatnonzero(lattice.is_halfway(side, _HAIR)),
             f"is half a period away from a centre, where both of its sides are one place; {REPEAT}",

@@ -207,12 +207,12 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     masked = scene.variables["particle_id"].dtype.kind == "f"
     changed = {}
     for name in map(str, scene.data_vars):
-        given = scene.variables[name]
-        row = _row_of(name, given.dims, given.dtype)
-        floats = given.dtype.kind == "f" and (
+        values = scene.variables[name]
+        row = _row_of(name, values.dims, values.dtype)
+        floats = values.dtype.kind == "f" and (
             f"{name}_values" in scene.attrs or (row and row.dtype == "int64")
         )
-        if not (masked or floats) and (row is None or given.dims == ("time", *row.dims)):
+        if not (masked or floats) and (row is None or values.dims == ("time", *row.dims)):
             continue  # as nearly always
         array = scene[name]
         if row is not None:

@@ -158,19 +158,19 @@ def frame_of(
         valid = arrays["contact_i"][t] != PADDING
         count = np.count_nonzero(valid)
         rows["contact"] = slice(0, count) if valid[:count].all() else valid
-    found: Frame = {}
+    frame: Frame = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
         dim = row.dims[0] if dims is None else dims[name]
         # as loops are compiled for: files may hold bytes or axes the other way round
         if dim in rows:
-            found[name] = values[t][rows[dim]].astype(row.dtype, order="C", copy=False)
+            frame[name] = values[t][rows[dim]].astype(row.dtype, order="C", copy=False)
         elif dims is not None:
-            found[name] = values[t]
-    for name in found:
+            frame[name] = values[t]
+    for name in frame:
         if name in VARIABLES:
-            check_finite(name, found, source)
-    return found
+            check_finite(name, frame, source)
+    return frame
 
 
 def check_finite(name: str, frame: Frame, source: str) -> None:

@@ -175,17 +175,17 @@ def assign_phases(
             ds, ("diameter",), number, f"between {rising.tolist()}", range(1, len(rising) + 2)
         )
     scene.require((by,), "assign_phases")
-    given = mapping or {}
+    phase_of_value = mapping or {}
     are_whole = [
         is_whole(value, -(2**63), 2**63 - 1) and is_whole(phase, 0, 2**63 - 1)
-        for value, phase in given.items()
+        for value, phase in phase_of_value.items()
     ]
-    if not given or not all(are_whole):
+    if not phase_of_value or not all(are_whole):
         raise ValueError(
             f"mapping={plain(mapping)}: expected whole numbers of 64 bits, phases not negative, for example "
             "{1: 1, 2: 1, 3: 2}"
         )
-    table = {int(value): int(phase) for value, phase in given.items()}
+    table = {int(value): int(phase) for value, phase in phase_of_value.items()}
     return _by_properties(
         ds, (by,), partial(_mapped, table=table, name=by), f"from {by} by {table}", table.values()
     )
@@ -300,8 +300,8 @@ def _by_properties(
 
 def _unless_padding(ids: NDArray, *values: NDArray, function: Any) -> NDArray:
     out = np.full(ids.shape, PADDING)
-    here = ids != PADDING
-    out[here] = function(*(v[here] for v in values))
+    is_grain = ids != PADDING
+    out[is_grain] = function(*(v[is_grain] for v in values))
     return out
 
 

@@ -269,15 +269,15 @@ def _mirrored(repeats: _Repeats, free: NDArray) -> _Mirrored:
     if size.size:
         least = _SMALL_FORCE * size.mean()
     free = free.copy()
-    found = [np.empty((2, 0), int)]
+    pairs = [np.empty((2, 0), int)]
     mismatches = [np.empty(0)]
     beside = [np.empty((0, 2), int)]
     for distance, of_pair in repeats.of_one_pair():
         turned = repeats.mirrored[distance:] != repeats.mirrored[:-distance]
-        one = np.flatnonzero(of_pair & turned)
+        candidates = np.flatnonzero(of_pair & turned)
         # rows that follow each other share one: every other of them at a time
         for parity in (0, 1):
-            some = one[(one // distance) % 2 == parity]
+            some = candidates[(candidates // distance) % 2 == parity]
             some = some[free[some] & free[some + distance]]
             other = some + distance
             mismatch = np.linalg.norm(force[some] + force[other], axis=1)
@@ -287,12 +287,12 @@ def _mirrored(repeats: _Repeats, free: NDArray) -> _Mirrored:
             beside.append(np.stack([some, other], axis=1)[near & ~same])
             free[some[same]] = False
             free[other[same]] = False
-            found.append(np.sort([repeats.rows[some[same]], repeats.rows[other[same]]], axis=0))
+            pairs.append(np.sort([repeats.rows[some[same]], repeats.rows[other[same]]], axis=0))
             zero = np.zeros(same.sum())
             mismatches.append(
                 np.divide(mismatch[same], larger[same], out=zero, where=larger[same] > 0)
             )
-    first, second = np.concatenate(found, axis=1)
+    first, second = np.concatenate(pairs, axis=1)
     unlike = np.concatenate(beside)
     unlike = repeats.rows[unlike[free[unlike].all(axis=1)]]
     return _Mirrored(first, second, np.concatenate(mismatches), unlike)

@@ -538,21 +538,21 @@ def _density_in_si(grains: Particles) -> str | None:
 
 def _unused_density(grains: Particles) -> str | None:
     """Check that the data hold no masses or densities other than density=."""
-    given = grains.setup.density
-    if given is None:
+    argument = grains.setup.density
+    if argument is None:
         return None
     if "density" not in grains.frame:
         if "mass" not in grains.frame:
             return None
         return (
-            f"density={given:g} is not used, as the data hold masses and no sizes: leave it out, or give "
+            f"density={argument:g} is not used, as the data hold masses and no sizes: leave it out, or give "
             "sizes, a column or diameter="
         )
     density = grains.sample["density"]
-    if np.abs(density / given - 1).max() <= _DIGITS:
+    if np.abs(density / argument - 1).max() <= _DIGITS:
         return None
     return (
-        f"density={given:g} is not used, as the data hold masses or densities (densities are "
+        f"density={argument:g} is not used, as the data hold masses or densities (densities are "
         f"{density.min():.6g} to {density.max():.6g}): leave it out, or drop these columns, "
         "names={'mass': None, 'density': None}"
     )
@@ -561,13 +561,13 @@ def _unused_density(grains: Particles) -> str | None:
 def _unused_size(grains: Particles) -> str | None:
     """Check that the data hold no diameters or masses other than diameter= and mass=."""
     for name in ("diameter", "mass"):
-        given = getattr(grains.setup, name)
-        if given is None or name not in grains.frame:
+        argument = getattr(grains.setup, name)
+        if argument is None or name not in grains.frame:
             continue
         values = grains.sample[name]
-        if np.abs(values / given - 1).max() > _DIGITS:
+        if np.abs(values / argument - 1).max() > _DIGITS:
             return (
-                f"{name}={given:g} is not used, as the data hold others ({values.min():.6g} to "
+                f"{name}={argument:g} is not used, as the data hold others ({values.min():.6g} to "
                 f"{values.max():.6g}): leave it out, or drop their column, names={{'column': None}}"
             )
     return None

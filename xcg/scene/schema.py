@@ -277,19 +277,19 @@ def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Data
 
 def known_without_reading(ds: xr.Dataset, name: str) -> bool:
     """Return whether a variable is in memory, or as it was when its attributes were measured."""
-    given = ds.variables[name]
-    return is_in_memory(given) or bool(given.encoding)
+    values = ds.variables[name]
+    return is_in_memory(values) or bool(values.encoding)
 
 
 # --- what files do not say -------------------------------------------------------------------------------
 
 
-def periodic_axes(given: Any, plane: str | None = None) -> str:
+def periodic_axes(axes: Any, plane: str | None = None) -> str:
     """Return the periodic axes in order, such as "xy".
 
     Parameters
     ----------
-    given : str, bool, or list of axes or of a truth value for each axis
+    axes : str, bool, or list of axes or of a truth value for each axis
         As a user gives them: "xy", ["x", "y"], True for all axes, (True, True, False).
     plane : str, optional
         All axes of the scene.
@@ -297,18 +297,18 @@ def periodic_axes(given: Any, plane: str | None = None) -> str:
     Raises
     ------
     SceneError
-        If `given` is something else.
+        If `axes` is something else.
     """
-    if given is None or (isinstance(given, (bool, np.bool_)) and not given):
+    if axes is None or (isinstance(axes, (bool, np.bool_)) and not axes):
         return ""
-    if isinstance(given, (bool, np.bool_)):
+    if isinstance(axes, (bool, np.bool_)):
         return plane or "".join(COMPONENTS)
-    parts = list(given) if np.iterable(given) else [given]
+    parts = list(axes) if np.iterable(axes) else [axes]
     if len(parts) == len(COMPONENTS) and all(isinstance(part, (bool, np.bool_)) for part in parts):
         parts = [axis for axis, chosen in zip(COMPONENTS, parts, strict=True) if chosen]
     if not all(isinstance(part, str) and {*part.lower()} <= {*COMPONENTS} for part in parts):
         raise SceneError(
-            f"periodic={given!r}: expected any of 'x', 'y', 'z', for example periodic='xy', True for all axes or "
+            f"periodic={axes!r}: expected any of 'x', 'y', 'z', for example periodic='xy', True for all axes or "
             "False for none"
         )
     return "".join(sorted({*"".join(parts).lower()}))
@@ -388,7 +388,7 @@ class Setup:
         gravity: Sequence[float] | None = None,
         dimension: int = 3,
         plane: str | None = None,
-        **given: Any,
+        **options: Any,
     ) -> Setup:
         """Check the arguments of the public calls.
 
@@ -404,14 +404,14 @@ class Setup:
             gravity = (x, y, z)
         if not plane:
             plane = "xyz" if dimension == 3 else "xy"
-        given["periodic"] = periodic_axes(given.get("periodic"), plane)
+        options["periodic"] = periodic_axes(options.get("periodic"), plane)
         made = cls(
             gravity=gravity,
             dimension=dimension,
             plane=plane,
             scales=scales,
             unit_system=unit_system,
-            **given,
+            **options,
         )
         if dimension not in (2, 3) or len(plane) != dimension or set(plane) - set(COMPONENTS):
             raise SceneError(
