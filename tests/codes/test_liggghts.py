@@ -38,7 +38,7 @@ fix move all nve/sphere
 compute press all pressure thermo_temp pair
 compute pair all pair/gran/local pos id force delta
 fix slow all viscous 0.05
-run 100000
+run 70000
 compute touching all contact/atom
 thermo_style custom step atoms c_press[1] c_press[2] c_press[3] c_press[4] c_press[5] c_press[6]
 thermo_modify format float %.17g
