@@ -2,11 +2,26 @@
 
 import numpy as np
 import pytest
-import vtk
 import xarray as xr
 from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkDataArray
-from vtkmodules.vtkIOXML import vtkXMLImageDataReader
+from vtkmodules.vtkCommonCore import VTK_DOUBLE, vtkDataArray, vtkPoints
+from vtkmodules.vtkCommonDataModel import (
+    VTK_HEXAHEDRON,
+    VTK_TETRA,
+    vtkImageData,
+    vtkUnstructuredGrid,
+)
+from vtkmodules.vtkFiltersCore import vtkTriangleFilter
+from vtkmodules.vtkFiltersSources import vtkCubeSource
+from vtkmodules.vtkIOGeometry import vtkSTLWriter
+from vtkmodules.vtkIOLegacy import vtkUnstructuredGridWriter
+from vtkmodules.vtkIOXML import (
+    vtkXMLImageDataReader,
+    vtkXMLImageDataWriter,
+    vtkXMLPolyDataWriter,
+    vtkXMLUnstructuredGridReader,
+    vtkXMLUnstructuredGridWriter,
+)
 
 import xcg
 from tests.scenes import random_steps
@@ -133,18 +148,16 @@ CORNERS = 1.0 + np.array(
 
 def write_mesh(path):
     """A box of a hexahedron, and a tetrahedron on top of it: eight points and one, two cells."""
-    grid = vtk.vtkUnstructuredGrid()
-    points = vtk.vtkPoints()
-    points.SetDataType(vtk.VTK_DOUBLE)
+    grid = vtkUnstructuredGrid()
+    points = vtkPoints()
+    points.SetDataType(VTK_DOUBLE)
     for place in [*CORNERS.tolist(), [2.0, 2.0, 6.0]]:
         points.InsertNextPoint(place)
     grid.SetPoints(points)
-    grid.InsertNextCell(vtk.VTK_HEXAHEDRON, 8, range(8))
-    grid.InsertNextCell(vtk.VTK_TETRA, 4, [4, 5, 6, 8])
+    grid.InsertNextCell(VTK_HEXAHEDRON, 8, range(8))
+    grid.InsertNextCell(VTK_TETRA, 4, [4, 5, 6, 8])
     writer = (
-        vtk.vtkXMLUnstructuredGridWriter()
-        if path.suffix == ".vtu"
-        else vtk.vtkUnstructuredGridWriter()
+        vtkXMLUnstructuredGridWriter() if path.suffix == ".vtu" else vtkUnstructuredGridWriter()
     )
     writer.SetFileName(str(path))
     writer.SetInputData(grid)
@@ -153,7 +166,7 @@ def write_mesh(path):
 
 
 def read_mesh(path):
-    reader = vtk.vtkXMLUnstructuredGridReader()
+    reader = vtkXMLUnstructuredGridReader()
     reader.SetFileName(str(path))
     reader.Update()
     return reader.GetOutput()
@@ -183,11 +196,11 @@ def test_points_and_centres_equal_those_of_the_file(tmp_path, suffix):
 
 @pytest.mark.parametrize("suffix", [".stl", ".vtp", ".vti"])
 def test_points_of_surfaces_and_images(tmp_path, suffix):
-    source = vtk.vtkImageData() if suffix == ".vti" else vtk.vtkCubeSource()
+    source = vtkImageData() if suffix == ".vti" else vtkCubeSource()
     writers = {
-        ".stl": vtk.vtkSTLWriter,
-        ".vtp": vtk.vtkXMLPolyDataWriter,
-        ".vti": vtk.vtkXMLImageDataWriter,
+        ".stl": vtkSTLWriter,
+        ".vtp": vtkXMLPolyDataWriter,
+        ".vti": vtkXMLImageDataWriter,
     }
     writer = writers[suffix]()
     if suffix == ".vti":
@@ -195,7 +208,7 @@ def test_points_of_surfaces_and_images(tmp_path, suffix):
         source.SetSpacing(0.5, 2.0, 3.0)
         writer.SetInputData(source)
     else:
-        faces = vtk.vtkTriangleFilter()
+        faces = vtkTriangleFilter()
         faces.SetInputConnection(source.GetOutputPort())
         writer.SetInputConnection(faces.GetOutputPort())
     writer.SetFileName(str(tmp_path / f"m{suffix}"))

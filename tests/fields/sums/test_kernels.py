@@ -54,12 +54,15 @@ def bump(q):
     return np.exp(-1 / (1 - q**2))
 
 
-xcg.register_kernel("wendland", wendland, ratio=2.0, smoothness=2)
-xcg.register_kernel("cubic spline", cubic_spline, ratio=2.0, smoothness=2)
-xcg.register_kernel("quintic spline", quintic_spline, ratio=2.0, smoothness=4)
-xcg.register_kernel("narrow gaussian", narrow_gaussian, ratio=5.0, smoothness=-1)
-xcg.register_kernel("short", short, ratio=2.0, smoothness=2)
-xcg.register_kernel("bump", bump, ratio=2.0, smoothness=2)
+@pytest.fixture(scope="module", autouse=True)
+def _registered():
+    """Register the kernels when the first test runs: each takes a tenth of a second or more."""
+    xcg.register_kernel("wendland", wendland, ratio=2.0, smoothness=2)
+    xcg.register_kernel("cubic spline", cubic_spline, ratio=2.0, smoothness=2)
+    xcg.register_kernel("quintic spline", quintic_spline, ratio=2.0, smoothness=4)
+    xcg.register_kernel("narrow gaussian", narrow_gaussian, ratio=5.0, smoothness=-1)
+    xcg.register_kernel("short", short, ratio=2.0, smoothness=2)
+    xcg.register_kernel("bump", bump, ratio=2.0, smoothness=2)
 
 
 @pytest.mark.parametrize("name", [*NAMES, "wendland"])

@@ -9,8 +9,10 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-import vtk
-from vtk.util.numpy_support import numpy_to_vtk
+from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkPolyData
+from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
 import xcg
 from tests import dumps
@@ -376,8 +378,8 @@ def test_other_codes_share_the_table(tmp_path):
     ],
 )
 def test_arrays_of_vtk_are_named_as_columns_are(tmp_path, names):
-    points = vtk.vtkPoints()
-    poly = vtk.vtkPolyData()
+    points = vtkPoints()
+    poly = vtkPolyData()
     points.SetData(numpy_to_vtk(np.array([[0.0, 0, 0], [1, 0, 0]]), deep=True))
     poly.SetPoints(points)
     velocity = [[1.0, 2, 3], [4, 5, 6]]
@@ -391,7 +393,7 @@ def test_arrays_of_vtk_are_named_as_columns_are(tmp_path, names):
         array = numpy_to_vtk(np.ascontiguousarray(values), deep=True)
         array.SetName(name)
         poly.GetPointData().AddArray(array)
-    writer = vtk.vtkXMLPolyDataWriter()
+    writer = vtkXMLPolyDataWriter()
     writer.SetFileName(str(tmp_path / "p.vtp"))
     writer.SetInputData(poly)
     writer.Write()

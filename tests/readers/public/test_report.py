@@ -10,8 +10,10 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-import vtk
-from vtk.util.numpy_support import numpy_to_vtk
+from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.vtkCommonCore import vtkIdList, vtkPoints
+from vtkmodules.vtkCommonDataModel import VTK_LINE, vtkPolyData, vtkUnstructuredGrid
+from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
 import xcg
 from tests import ROOT, dumps
@@ -191,17 +193,17 @@ def test_forces_of_vtk_lines_are_added(tmp_path):
 @pytest.mark.parametrize("suffix", ["vtu", "vtp"])
 @pytest.mark.filterwarnings("error")
 def test_lines_of_unstructured_grids_are_contacts(tmp_path, suffix):
-    points = vtk.vtkPoints()
+    points = vtkPoints()
     for z in (0.0, 0.98, 1.96):
         points.InsertNextPoint(0.0, 0.0, z)
-    grid = vtk.vtkUnstructuredGrid() if suffix == "vtu" else vtk.vtkPolyData()
+    grid = vtkUnstructuredGrid() if suffix == "vtu" else vtkPolyData()
     grid.SetPoints(points)
     grid.Allocate(2)
     for k in range(2):
-        ends = vtk.vtkIdList()
+        ends = vtkIdList()
         ends.InsertNextId(k)
         ends.InsertNextId(k + 1)
-        grid.InsertNextCell(vtk.VTK_LINE, ends)
+        grid.InsertNextCell(VTK_LINE, ends)
     arrays = {
         "id1": np.array([1, 2]),
         "id2": np.array([2, 3]),
@@ -212,7 +214,7 @@ def test_lines_of_unstructured_grids_are_contacts(tmp_path, suffix):
         array = numpy_to_vtk(values, deep=True)
         array.SetName(name)
         grid.GetCellData().AddArray(array)
-    kinds = {"vtu": vtk.vtkXMLUnstructuredGridWriter, "vtp": vtk.vtkXMLPolyDataWriter}
+    kinds = {"vtu": vtkXMLUnstructuredGridWriter, "vtp": vtkXMLPolyDataWriter}
     writer = kinds[suffix]()
     writer.SetFileName(str(tmp_path / f"c_1.{suffix}"))
     writer.SetInputData(grid)
@@ -227,17 +229,17 @@ def test_lines_of_unstructured_grids_are_contacts(tmp_path, suffix):
 
 def write_points(path, grains, **arrays):
     """Write the grains of a scene of one step as VTK points, with more arrays."""
-    points = vtk.vtkPoints()
+    points = vtkPoints()
     for place in grains.position.values[0]:
         points.InsertNextPoint(*place)
-    data = vtk.vtkPolyData()
+    data = vtkPolyData()
     data.SetPoints(points)
     arrays = {"id": grains.particle_id.values[0], "radius": grains.diameter.values[0] / 2} | arrays
     for name, values in arrays.items():
         array = numpy_to_vtk(np.asarray(values), deep=True)
         array.SetName(name)
         data.GetPointData().AddArray(array)
-    writer = vtk.vtkXMLPolyDataWriter()
+    writer = vtkXMLPolyDataWriter()
     writer.SetFileName(str(path))
     writer.SetInputData(data)
     writer.Write()
