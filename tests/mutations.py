@@ -374,6 +374,14 @@ TABLE = [
         "test_few_grains_without_flow_and_a_component_that_is_small_are_silent",
     ),
     Mutation(
+        "fields/formulas/floors.py", "math.sqrt(2 * support.contacts)", "math.sqrt(support.contacts)",
+        "test_tangential_forces_of_independent_contacts",
+    ),
+    Mutation(
+        "fields/pressures.py", "length.std() / length.mean()", "length.std()",
+        "test_floors_of_relaxed_packings test_the_floors_of_branches_and_tangential_forces_follow",
+    ),
+    Mutation(
         "fields/formulas/doubts.py", "(reached & values.isnull())", "values.notnull()",
         "test_averaged_temperatures_of_phases_that_are_unknown_warn_of_their_share",
     ),

@@ -101,6 +101,18 @@ def test_the_warning_is_the_same_for_a_lazy_scene_whose_graph_reads_nothing():
     assert re.sub(numbers, "", of_lazy) == re.sub(numbers, "", of_eager)
 
 
+def test_the_floors_of_branches_and_tangential_forces_follow_from_the_contacts_of_the_step():
+    names = ["branch_anisotropy", "tangential_force_anisotropy"]
+    (text,) = said(truths.packing(count=200, steps=1), names)  # of two sizes, without friction
+    assert re.search(r"step branch_anisotropy is about 0\.\d+ where the true value is 0", text)
+    (text,) = said(xcg.datasets.open("chute").isel(time=[0]), names)
+    assert "tangential_force_anisotropy is about 0." in text
+    # equal spheres without friction have neither
+    assert said(truths.contacts(1), names) == []
+    f = truths.contacts(1).cg.coarse_grain(names)
+    assert "floor_of_one_step" not in f.branch_anisotropy.attrs
+
+
 def test_fields_that_come_by_default_say_their_floor_by_an_attribute():
     ds = truths.packing(count=200, steps=2)  # at rest
     assert said(ds) == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import takes_stress_of_step
 from xcg.fields.formulas.doubts import UNKNOWN
 from xcg.fields.plan import Plan
-from xcg.fields.pressures import Pressures, pressures_of
+from xcg.fields.pressures import Pressures, pressures_of, spread_of_contacts
 from xcg.fields.support import floor_text, floors_of
 from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
@@ -23,6 +23,7 @@ from xcg.scene.schema import COMPONENTS, Frame
 _CONSIDERABLE_FLOOR = 0.2  # share of the usual value of a field
 _CONSIDERABLE = 0.05  # share of the pressure
 
+_OF_READ_CONTACTS = ("branch_anisotropy", "tangential_force_anisotropy")
 _TURN = threading.Lock()  # so that the first step of several threads warns of all effects
 # means of squared fluctuations
 _TEMPERATURES = (
@@ -90,10 +91,14 @@ class ComputedStep:
 
     def _floors(self) -> dict[str, str]:
         """Return which norms and eigenvalues are noise, unless all are small."""
-        assert self.plan.support is not None
+        support = self.plan.support
+        assert support is not None
+        if {*_OF_READ_CONTACTS} & {*self.plan.requested}:
+            branches, forces = spread_of_contacts(self.frame, self.lattice)
+            support = replace(support, branch_spread=branches, tangential=forces)
         texts = [
             f"{name} is about {floor_text(self.plan, name, floor)}"
-            for name, (floor, usual) in floors_of(self.plan, self.plan.support).items()
+            for name, (floor, usual) in floors_of(self.plan, support).items()
             if floor > _CONSIDERABLE_FLOOR * usual
         ]
         if not texts:

@@ -53,17 +53,7 @@ def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
     kinetic = mass @ (sample["velocity"] - flow) ** 2
     contact = np.zeros(3)
     if "contact_i" in frame:
-        rows = max(1, len(frame["contact_i"]) // _SAMPLED)
-        key_i = frame["contact_i"][::rows]
-        key_j = frame["contact_j"][::rows]
-        point = frame["contact_point"][::rows]
-        force = np.zeros_like(point)
-        if "contact_force" in frame:
-            force = frame["contact_force"][::rows]
-        # without the checks of `Contacts.of`, which the sums have made
-        i = rows_of(frame["particle_id"], key_i)
-        j = rows_of(frame["particle_id"], key_j)
-        contacts = Contacts(i, j, force, point, frame["position"], lattice, key_i, key_j, None)
+        contacts, rows = _sampled_contacts(frame, lattice)
         sides = (contacts.branch_i - contacts.branch_j) * contacts.force
         plane = list(plan.options.plane)
         contact[plane] = sides[:, plane].sum(axis=0) * rows / every
@@ -72,6 +62,41 @@ def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
             relative = velocity[contacts.i[pairs]] - velocity[contacts.j[pairs]]
             kinetic = (relative**2).mean(axis=0) * mass.sum() / 2
     return Pressures(kinetic, contact, smeared, averaged)
+
+
+def _sampled_contacts(frame: Frame, lattice: Lattice) -> tuple[Contacts, int]:
+    """Return every n-th contact of a step, and n."""
+    rows = max(1, len(frame["contact_i"]) // _SAMPLED)
+    key_i = frame["contact_i"][::rows]
+    key_j = frame["contact_j"][::rows]
+    point = frame["contact_point"][::rows]
+    force = np.zeros_like(point)
+    if "contact_force" in frame:
+        force = frame["contact_force"][::rows]
+    normal = None
+    if "contact_normal" in frame:
+        normal = frame["contact_normal"][::rows]
+    # without the checks of `Contacts.of`, which the sums have made
+    i = rows_of(frame["particle_id"], key_i)
+    j = rows_of(frame["particle_id"], key_j)
+    return Contacts(i, j, force, point, frame["position"], lattice, key_i, key_j, normal), rows
+
+
+def spread_of_contacts(frame: Frame, lattice: Lattice) -> tuple[float, float]:
+    """Return the standard deviation of the branch lengths over their mean, and that of tangential over normal forces.
+
+    The latter is the root mean square of the tangential forces over the mean normal one. NaN without
+    contacts or forces.
+    """
+    contacts, _ = _sampled_contacts(frame, lattice)
+    if not len(contacts.i):
+        return np.nan, np.nan
+    length = np.einsum("ni,ni->n", contacts.between, contacts.normal)
+    mean_force = contacts.normal_force.mean()
+    tangential = np.nan
+    if mean_force > 0:
+        tangential = np.sqrt((contacts.tangential_force**2).sum(axis=1).mean()) / mean_force
+    return float(length.std() / length.mean()), float(tangential)
 
 
 def variation_of_flow(

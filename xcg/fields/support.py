@@ -44,12 +44,13 @@ def floor_text(plan: Plan, name: str, floor: float) -> str:
 
 
 def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, float]]:
-    """Return floor and usual value of each requested field that has a floor."""
+    """Return floor and usual value of each requested field whose floor is known."""
     floors = {}
     for name in plan.requested:
         row = registry.row(name, plan.options)
-        if row.floor is not None:
-            floors[name] = row.floor(support), row.usual
+        floor = row.floor(support) if row.floor is not None else math.nan
+        if math.isfinite(floor):
+            floors[name] = floor, row.usual
     return floors
 
 

@@ -1,5 +1,7 @@
 """Floors: what norms and eigenvalues of independent directions and velocities show, by brute force."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,10 @@ from tests import ensembles, truths
 from xcg.fields.formulas import floors
 from xcg.fields.formulas.field import Support
 from xcg.fields.plan import make_plan
+from xcg.fields.pressures import spread_of_contacts
 from xcg.fields.request import Request
 from xcg.fields.support import support_of
+from xcg.scene.frame import frame_at
 from xcg.scene.scene import Scene
 
 DRAWS = 4000
@@ -72,6 +76,23 @@ def test_friction_of_contacts_with_forces_of_an_exponential_distribution(dimensi
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
+def test_tangential_forces_of_independent_contacts(dimension):
+    rng = np.random.default_rng(5)
+    n = rng.normal(size=(DRAWS, 100, dimension))
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    normal = rng.exponential(size=(DRAWS, 100))
+    t = rng.normal(size=n.shape)
+    t -= np.einsum("sni,sni->sn", t, n)[..., None] * n
+    t *= 0.2 * normal[..., None]
+    tensor = np.einsum("sni,snj->sij", t, n) / normal.sum(axis=1)[:, None, None]
+    squares = (((tensor + tensor.swapaxes(1, 2)) / 2) ** 2).sum(axis=(1, 2))
+    size = {2: 4 * np.sqrt(squares / 2), 3: 5 * np.sqrt(1.5 * squares)}[dimension]
+    tangential = np.sqrt((t**2).sum(axis=-1).mean()) / normal.mean()
+    floor = floors.tangential_anisotropy(replace(support(100, dimension), tangential=tangential))
+    assert floor == pytest.approx(size.mean(), rel=0.03)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
 def test_a_single_grain_has_the_largest_friction(dimension):
     v = np.random.default_rng(4).normal(size=(10, 1, dimension))
     mu = friction(np.einsum("sni,snj->sij", v, v))
@@ -117,9 +138,13 @@ def test_floors_of_relaxed_packings(width, dimension):
         "friction_coefficient": floors.friction,
         "contact_anisotropy": floors.contact_anisotropy,
         "normal_force_anisotropy": floors.force_anisotropy,
+        "branch_anisotropy": floors.branch_anisotropy,
     }
     f = ds.cg.coarse_grain([*ways], width=f"{width} d43", for_averages=True)
-    here = of_scene(ds, width=f"{width} d43")
+    plan = make_plan(Scene(ds), Request("branch_anisotropy"))
+    frame, lattice, _ = frame_at(ds, 0, plan.variables)
+    branches, _ = spread_of_contacts(frame, lattice)
+    here = replace(of_scene(ds, width=f"{width} d43"), branch_spread=branches)
     for name, floor in ways.items():
         assert floor(here) == pytest.approx(f[name].mean().item(), rel=0.4), name
 

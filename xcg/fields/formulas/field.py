@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -121,6 +122,10 @@ class Support:
         independent velocities without shear.
     volume_fraction : float
         Volume of the grains over that which they extend over.
+    branch_spread : float
+        Standard deviation of the branch lengths over their mean; NaN before a step is read.
+    tangential : float
+        Root mean square of the tangential forces over the mean normal one; NaN before a step is read.
     """
 
     grains: float
@@ -129,6 +134,8 @@ class Support:
     dimension: int
     slope: float
     volume_fraction: float
+    branch_spread: float = math.nan
+    tangential: float = math.nan
 
     @property
     def is_dense(self) -> bool:

@@ -60,6 +60,21 @@ def force_anisotropy(support: Support) -> float:
     return contact_anisotropy(support) / math.sqrt(_order(support))
 
 
+def branch_anisotropy(support: Support) -> float:
+    """Return a_b of isotropic contacts; NaN where the spread of the branch lengths is not known."""
+    return support.branch_spread * force_anisotropy(support)
+
+
+def tangential_anisotropy(support: Support) -> float:
+    """Return a_t of isotropic contacts; NaN where the tangential forces are not known.
+
+    Of unit vectors t across n the symmetric part of t n has the square 1/2.
+    """
+    d = support.dimension
+    size = {2: 4.0 * math.sqrt(0.5), 3: 5.0 * math.sqrt(1.5)}[d]
+    return size * _NORM[d] * support.tangential / math.sqrt(2 * support.contacts)
+
+
 def order(support: Support) -> float:
     """Return the nematic order of directors at random."""
     d = support.dimension

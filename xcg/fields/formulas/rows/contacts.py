@@ -174,6 +174,8 @@ _ROWS: dict[str, Field] = {
         formula="a_b, from a = 15/2 dev (X_b - Phi), 2D: 4 dev (X_b - Phi)",
         compute=lambda f, s, o: _anisotropy(f.branch_fabric - f.contact_fabric, _NORMAL, o),
         fields=("branch_fabric", "contact_fabric"),
+        floor=floors.branch_anisotropy,
+        usual=0.1,
     ),
     "normal_force_anisotropy": Field(
         long_name="anisotropy of the normal forces",
@@ -188,6 +190,8 @@ _ROWS: dict[str, Field] = {
         formula="a_t, from a = 5 dev X_t, 2D: 4 dev X_t",
         compute=lambda f, s, o: _anisotropy(f.tangential_force_fabric, _TANGENTIAL, o),
         fields=("tangential_force_fabric",),
+        floor=floors.tangential_anisotropy,
+        usual=0.1,
     ),
     "fabric_stress": Field(
         rank=2,
