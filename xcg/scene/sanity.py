@@ -109,11 +109,6 @@ class Particles:
         return {name: values[some] for name, values in self.frame.items()}
 
     @cached_property
-    def plane(self) -> list[int]:
-        """Axes that the scene extends in."""
-        return [k for k, axis in enumerate(COMPONENTS) if axis in self.setup.plane]
-
-    @cached_property
     def diameter(self) -> float:
         """Mean diameter (m), NaN where it is not known."""
         sizes = self.sample.get("diameter", np.empty(0))
@@ -127,7 +122,7 @@ class Particles:
         lengths = np.diff(self.lattice.edges, axis=1)[:, 0]
         return {
             k: (float(self.lattice.edges[k, 0]), float(self.lattice.edges[k, 1]))
-            for k in self.plane
+            for k in self.setup.axes
             if np.isfinite(lengths[k])
         }
 
@@ -142,9 +137,9 @@ class Particles:
         if "diameter" not in self.frame or self.count < FEW:
             return nothing
         middle = self.frame["position"][self.count // 2]
-        low, high = np.quantile(self.sample["position"][:, self.plane], [0.02, 0.98], axis=0)
+        low, high = np.quantile(self.sample["position"][:, self.setup.axes], [0.02, 0.98], axis=0)
         share = min(1.0, _REGION / self.count)
-        reach = 0.5 * (high - low).max() * share ** (1 / len(self.plane))
+        reach = 0.5 * (high - low).max() * share ** (1 / len(self.setup.axes))
         inside = self._around(middle, reach)
         for _ in range(_HALVINGS):
             if len(inside) <= 2 * _REGION:
@@ -154,7 +149,7 @@ class Particles:
         if not FEW <= len(inside) <= 2 * _REGION:  # few, or many in one place
             return nothing
         position, diameter = (self.frame[name][inside] for name in ("position", "diameter"))
-        to_edge = reach - np.abs(position - middle)[:, self.plane].max(axis=1)
+        to_edge = reach - np.abs(position - middle)[:, self.setup.axes].max(axis=1)
         nearest = []
         directions = []
         # of so few, all pairs are quicker than the import of a tree; in blocks, which take less memory
@@ -180,13 +175,13 @@ class Particles:
             return False
         units = directions / length[:, None]
         parallel = (np.abs(units @ units.T) > _PARALLEL).sum() - len(units)
-        return bool(parallel > _ALIGNED[len(self.plane)] * len(units) * (len(units) - 1))
+        return bool(parallel > _ALIGNED[len(self.setup.axes)] * len(units) * (len(units) - 1))
 
     def _around(self, middle: NDArray, reach: float) -> NDArray:
         """Return the rows of the particles in a cube, axis by axis, as few are left after the first."""
         position = self.frame["position"]
         rows = np.arange(self.count)
-        for k in self.plane:
+        for k in self.setup.axes:
             x = position[:, k] if len(rows) == self.count else position[rows, k]
             rows = rows[(x >= middle[k] - reach) & (x <= middle[k] + reach)]
         return rows
@@ -232,7 +227,7 @@ def _overfilled_space(grains: Particles) -> str | None:
     if not grains.diameter > 0:
         return None
     extent = np.ptp(grains.sample["position"], axis=0)
-    if grains.count <= _MOST_FILLED * (extent[grains.plane] / grains.diameter + 1).prod():
+    if grains.count <= _MOST_FILLED * (extent[grains.setup.axes] / grains.diameter + 1).prod():
         return None
     lengths = " x ".join(f"{length:.3g}" for length in extent)
     return (
@@ -247,19 +242,19 @@ def _factor_of_sizes(grains: Particles) -> str | None:
     if len(distances) < FEW:
         return None
     nearest = distances[:, 0]
-    lowest, middle = np.quantile(nearest, [0.05, 0.5])
+    nearly_least, middle = np.quantile(nearest, [0.05, 0.5])
     if np.ptp(nearest) <= _REGULAR * middle:
         return None
     for factor in _FACTORS:
         low, high = (end * factor for end in _PILE)
         piled = float(((nearest >= low) & (nearest <= high)).mean())
-        if lowest < _LOWEST * factor or piled < _PILED:
+        if nearly_least < _LOWEST * factor or piled < _PILED:
             continue
         if factor > 1 and grains.is_lattice:
             return None
         if (
             factor < 1
-            and (distances < 1.8 * factor).sum(axis=1).mean() < _OVERLAPPING[len(grains.plane)]
+            and (distances < 1.8 * factor).sum(axis=1).mean() < _OVERLAPPING[len(grains.setup.axes)]
         ):
             continue  # spheres of a body that is not named
         text = (
@@ -326,9 +321,9 @@ def _grains_outside(grains: Particles) -> str | None:
 
 def _overfilled_box(grains: Particles) -> str | None:
     """Check that the volume of the grains, or the area of discs in a layer, fits into a finite box."""
-    if "diameter" not in grains.frame or len(grains.edges) < len(grains.plane):
+    if "diameter" not in grains.frame or len(grains.edges) < len(grains.setup.axes):
         return None
-    dimension = len(grains.plane)
+    dimension = len(grains.setup.axes)
     shares = {2: np.pi / 4, 3: np.pi / 6}
     lengths = [high - low for low, high in grains.edges.values()]
     filled = (
@@ -345,7 +340,7 @@ def _overfilled_box(grains: Particles) -> str | None:
 
 def _wide_box(grains: Particles) -> str | None:
     """Check that the grains are not lost in a box that is many times longer than their extent along all axes."""
-    if grains.count < FEW or len(grains.edges) < len(grains.plane):
+    if grains.count < FEW or len(grains.edges) < len(grains.setup.axes):
         return None
     position = grains.frame["position"]
     room = 0.0 if np.isnan(grains.diameter) else grains.diameter
@@ -615,9 +610,9 @@ def check_motion(first: Frame, second: Frame, lapse: float, lattice: Lattice) ->
     if not {"velocity", "particle_id"} <= set(first) & set(second):
         return
     some = sample_of(len(first["position"]))
-    row = rows_of(second["particle_id"], first["particle_id"][some])
-    before = {name: values[some][row >= 0] for name, values in first.items()}
-    after = {name: values[row[row >= 0]] for name, values in second.items()}
+    rows = rows_of(second["particle_id"], first["particle_id"][some])
+    before = {name: values[some][rows >= 0] for name, values in first.items()}
+    after = {name: values[rows[rows >= 0]] for name, values in second.items()}
     if len(after["position"]) < FEW:
         return
     moved = after["position"] - before["position"]
@@ -630,9 +625,9 @@ def check_motion(first: Frame, second: Frame, lapse: float, lattice: Lattice) ->
         periods = lattice.period
         if lattice.vectors is not None:
             periods = np.full(3, np.linalg.norm(lattice.given, axis=1).min())
-        known = np.abs(expected).max(axis=0) < 0.5 * periods
-        moved = moved[:, known]
-        expected = expected[:, known]
+        has_direction = np.abs(expected).max(axis=0) < 0.5 * periods
+        moved = moved[:, has_direction]
+        expected = expected[:, has_direction]
     along = float((moved * expected).sum())
     of_velocities = float((expected**2).sum())
     of_positions = float((moved**2).sum())
