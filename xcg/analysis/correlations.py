@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import check, whole
+from xcg.fields.formulas.averages import require_fields
 from xcg.fields.formulas.block_errors import block_errors
 from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import require_steps, with_rising, with_time
@@ -80,6 +81,7 @@ def spatial_correlation(f: xr.Dataset, field: str, other: str | None = None) -> 
     1.0
     """
     other = other or field
+    require_fields(f, "spatial_correlation")
     f = with_facts(with_time(f))
     require_steps(f, "spatial_correlation")
     way_out = "or give the axes that wrap around, f.assign_attrs(wrapped_axes='xy')"

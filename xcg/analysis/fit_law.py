@@ -18,6 +18,7 @@ from xcg.analysis.shallow import nodes_a_support
 from xcg.common import drawing
 from xcg.common.checks import floats
 from xcg.common.messages import SceneWarning, plain, unknown, warn_user
+from xcg.fields.formulas.averages import require_fields
 from xcg.scene.facts import with_facts
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.labels import call_of, provenance
@@ -127,6 +128,7 @@ def fit_law(
     [0.38, 0.64, 0.28]
     """
     call = call_of("fit_law", locals())
+    require_fields(f, "fit_law")
     f = with_facts(f)
     row = _law_of(law, x, y)
     table = _table(f, row)

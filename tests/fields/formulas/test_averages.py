@@ -773,8 +773,22 @@ def test_blocks_that_do_not_fit_raise():
         f.cg.coarsen(r=2)
     with pytest.raises(ValueError, match="x=9: expected a whole number from 1 to 8"):
         f.cg.coarsen(x=9)
-    with pytest.raises(ValueError, match="coarsen averages fields, and this is a scene"):
-        moving_grains(1).cg.coarsen(x=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("coarsen", {"x": 2}),
+        ("profile", {"axis": "z"}),
+        ("time_average", {}),
+        ("free_surface", {}),
+        ("spatial_correlation", {"field": "velocity"}),
+        ("fit_law", {}),
+    ],
+)
+def test_a_scene_in_place_of_fields_is_named(name, arguments):
+    with pytest.raises(ValueError, match=f"{name} takes fields, and this is a scene.*coarse_grain"):
+        getattr(moving_grains(3).cg, name)(**arguments)
 
 
 # --- bias ------------------------------------------------------------------------------------------------

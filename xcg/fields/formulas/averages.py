@@ -75,7 +75,7 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     ValueError
         If the axis is not resolved, or a sum that a ratio needs is not in the result.
     """
-    _refuse_scene(f, "profile")
+    require_fields(f, "profile")
     f, beside = _with_sums(with_facts(f))
     f, noise = _without_noise(f)
     axes = [a for a in (*COMPONENTS, "r", "theta") if a in f.dims]
@@ -322,7 +322,7 @@ def coarsen(f: xr.Dataset, **blocks: int) -> xr.Dataset:
     >>> f.cg.coarsen(x=5, z=2).density.dims
     ('time', 'x', 'y', 'z')
     """
-    _refuse_scene(f, "coarsen")
+    require_fields(f, "coarsen")
     f, beside = _with_sums(with_facts(f))
     axes = [a for a in (*COMPONENTS, "theta") if a in f.dims]
     for axis, size in blocks.items():
@@ -553,10 +553,11 @@ def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
     return rows
 
 
-def _refuse_scene(f: xr.Dataset, purpose: str) -> None:
+def require_fields(f: xr.Dataset, purpose: str) -> None:
+    """Raise ValueError for a scene in place of a result."""
     if "particle" in f.dims:
         raise ValueError(
-            f"{purpose} averages fields, and this is a scene: call {purpose} on what its coarse_grain returns"
+            f"{purpose} takes fields, and this is a scene: call {purpose} on what its coarse_grain returns"
         )
 
 
@@ -565,7 +566,7 @@ def _to_sums(f: xr.Dataset, purpose: str, dims: Sequence[str] = ()) -> xr.Datase
 
     Beside the fields that take the covariance of the velocity, the sums that it follows from.
     """
-    _refuse_scene(f, purpose)
+    require_fields(f, purpose)
     rows = _rows_of(f)
     errors = _errors_among(rows)
     if errors:

@@ -150,7 +150,7 @@ ROWS: dict[str, Field] = {
         units="Pa",
         long_name="first normal stress difference",
         formula="N1 = sigma_gg - sigma_ff, compression positive, flow f along the first of shear_dims and its "
-        "gradient g along the second (by default along the first and last axis of the scene)",
+        "gradient g along the second, by default the first and the last axis of the scene",
         references="Srivastava et al. 2021",
         compute=partial(_normal_stress_difference, 0),
         fields=("stress",),
