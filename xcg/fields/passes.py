@@ -176,10 +176,10 @@ class StepArrays:
         at_rest = np.broadcast_to(0.0, (self.count, 3))
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", at_rest))
         self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
-        # which are a part of the scene
         nodes = plan.nodes
         self.origin = triple(nodes.origin)
         self.cutoffs = sorted({*plan.cutoffs})
+        # without edges, which are a part of the scene
         self.lattice = replace(lattice.seen(nodes.active, source), edges=None)
         paired = any(name.startswith("square") for name in plan.moments)
         self.smoothings: dict[float, Smoothing] = {}
@@ -189,22 +189,22 @@ class StepArrays:
             smoothing = Smoothing(nodes, self.lattice.period, cutoff, weights)
             smoothing.check_reach(DIAMETER, source, paired=paired)
             self.smoothings[cutoff] = smoothing
-        self.of_grains = self._without_hidden_shear(lattice)
+        self.of_grains = self.frame
+        gradient = lattice.gradient_along(~nodes.active)
+        if gradient is not None:
+            self._take_off_shear(gradient, lattice)
         self.grains = self.images(self.position)
         velocity = self.velocity[self.grains.row]
         if self.grains.drift is not None:
             velocity = velocity + self.grains.drift
         self.flow = (velocity, self.mass[self.grains.row])
 
-    def _without_hidden_shear(self, lattice: Lattice) -> Frame:
-        """Return the frame with velocities relative to the motion that a sheared box imposes along averaged axes.
+    def _take_off_shear(self, gradient: NDArray, lattice: Lattice) -> None:
+        """Make velocities relative to the motion that a sheared box imposes along averaged axes, its `gradient`.
 
         They are those in the middle of the box, for every image of a grain, as images along these
         axes are one.
         """
-        gradient = lattice.gradient_along(~self.plan.nodes.active)
-        if gradient is None:
-            return self.frame
         moments = self.plan.moments.items()
         of_velocity = {n for n, moment in moments if "velocity" in moment.variables}
         of_contacts = [n for n, moment in moments if moment.contacts]
@@ -214,7 +214,7 @@ class StepArrays:
             warn_once("hidden shear", f"{self.source}: {text}")
         self.velocity = self.velocity - (self.position - lattice.middle) @ gradient.T
         of_box = np.broadcast_to(gradient, (self.count, 3, 3))
-        return {**self.frame, "velocity": self.velocity, "box_gradient": of_box}
+        self.of_grains = {**self.frame, "velocity": self.velocity, "box_gradient": of_box}
 
     def images(self, position: NDArray) -> Images:
         """Return the positions of rows, with all images near the mesh where a box is tilted."""

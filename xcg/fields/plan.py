@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
 from xcg.compiled.segments import RULES
-from xcg.compiled.smoothing import KernelCode
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages, squared_integral
 from xcg.fields.formulas.field import Options, Quantity, Support
@@ -72,12 +71,8 @@ class Plan:
         Where.
     options : Options
         Choices of the algebra.
-    kernel : Kernel
-        The widest, where each group has its own.
-    weights : KernelCode
-        The kernel of the first cutoff as seen in the nodes' axes.
-    cutoffs : tuple of float
-        Radius of the support (m) of each group, or one for all.
+    kernels : tuple of Kernel
+        The kernel of each group, or one for all.
     limits : array
         Longest branch (cutoffs) for 2, 4, ... Gauss-Legendre points; empty for closed forms.
     coarse : bool
@@ -110,9 +105,10 @@ class Plan:
 
     Other attributes follow from these: `dims`, of the nodes, and phase where there are several;
     `phases`, their number, the bulk included; `group_count`, without it, and `other_count`, groups of
-    partners, the last one for walls; `cutoff_of_group` (m); `widths`, of each group or one for all (m); `shapes`,
-    of one step of each field in the result; `reached`, the number of nodes in the box around the
-    support of a grain; `block_nodes`, of those computed at a time.
+    partners, the last one for walls; `kernel`, the widest; `weights`, the first kernel as loops take
+    it; `cutoffs` and `widths` of the kernels (m), and `cutoff_of_group`; `shapes`, of one step of
+    each field in the result; `reached`, the number of nodes in the box around the support of a grain;
+    `block_nodes`, of those computed at a time; `attrs`, attributes of the result.
     """
 
     fields: tuple[str, ...]
@@ -121,9 +117,7 @@ class Plan:
     moments: Mapping[str, Moment]
     nodes: Nodes
     options: Options
-    kernel: Kernel
-    weights: KernelCode
-    cutoffs: tuple[float, ...]
+    kernels: tuple[Kernel, ...]
     limits: NDArray
     coarse: bool
     by: str | None
@@ -143,8 +137,11 @@ class Plan:
         self.phases = 1 + len(self.groups)
         self.group_count = max(1, len(self.groups))
         self.other_count = self.group_count + 1
+        self.kernel = max(self.kernels, key=lambda k: k.cutoff)
+        self.weights = self.kernels[0].weights(len(self.nodes.seen))
+        self.cutoffs = [k.cutoff for k in self.kernels]
+        self.widths = [k.width for k in self.kernels]
         self.cutoff_of_group = np.resize(self.cutoffs, self.group_count)
-        self.widths = [self.kernel.spread * cutoff for cutoff in self.cutoffs]
         self.dims = self.nodes.dims
         sizes = self.nodes.sizes
         if self.by:
@@ -177,7 +174,7 @@ class Plan:
         cutoff: Any = self.kernel.cutoff
         if len(self.widths) > 1:
             width = self.widths
-            cutoff = list(self.cutoffs)
+            cutoff = self.cutoffs
         wraps = zip(COMPONENTS, options.wrapped, strict=True)
         lengths = {axis: length for axis, length in self.extent.items() if length is not None}
         attrs = {
@@ -331,9 +328,7 @@ def make_plan(scene: Scene, request: Request) -> Plan:
         moments=moments,
         nodes=nodes,
         options=options,
-        kernel=widest,
-        weights=kernels[0].weights(seen),
-        cutoffs=tuple(k.cutoff for k in kernels),
+        kernels=tuple(kernels),
         limits=limits,
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,

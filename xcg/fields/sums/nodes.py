@@ -81,8 +81,6 @@ class MeshBlock:
     @property
     def places(self) -> NDArray:
         """Indices of the nodes among all nodes of the mesh, numbered row by row."""
-        if self.count == math.prod(self.shape):
-            return np.arange(self.count, dtype="uint64")
         x, y, z = (
             np.arange(low, high, dtype="uint64")
             for low, high in zip(self.low, self.high, strict=True)
