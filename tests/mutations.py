@@ -265,7 +265,7 @@ TABLE = [
     ),
     # --- fields/grids ---
     Mutation(
-        "fields/grids/grid.py", "first += 0.5 * step", "first += 0.4 * step",
+        "fields/grids/grid.py", "first += 0.5 * spacing", "first += 0.4 * spacing",
         "test_cells_lie_side_by_side",
     ),
     Mutation(

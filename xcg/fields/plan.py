@@ -298,7 +298,10 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     rtol = request.rtol
     by = request.by
     names, requested, options = _fields_and_options(scene, request)
-    read = {*_required(scene, names, options), by, "frozen"}
+    needed = variables_of(names, scene.columns.keys(), options)
+    if not needed <= scene.columns.keys():
+        _refuse(scene, names, needed, options)
+    read = [n for n in scene.columns if n in {*needed, by, "frozen"}]
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     narrowest = min(k.width for k in kernels)
@@ -324,7 +327,7 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     return Plan(
         fields=names,
         requested=requested,
-        variables=tuple(n for n in scene.columns if n in read),
+        variables=tuple(read),
         moments=moments,
         nodes=nodes,
         options=options,
@@ -341,21 +344,16 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     )
 
 
-def _required(scene: Scene, names: Sequence[str], options: Options) -> set[str]:
-    """Return the variables that some fields need; raise SceneError unless the scene has them."""
+def _refuse(scene: Scene, names: Sequence[str], needed: Set[str], options: Options) -> None:
+    """Raise SceneError as the scene lacks some of the variables that the fields need."""
     here = scene.columns.keys()
-    variables = variables_of(names, here, options)
-    if variables <= here:
-        return variables
     lacking = [name for name in names if not variables_of((name,), here, options) <= here]
     instead = ""
     if "contact_stress" in registry.order_of(lacking, options) and (
         variables_of(("contact_stress",), here, options) <= here
     ):
         instead = "; or ask for contact_stress, which needs no velocity"
-    purpose = f"coarse_grain of {', '.join(lacking)}"
-    scene.require(sorted(variables), purpose, instead)
-    return variables
+    scene.require(sorted(needed), f"coarse_grain of {', '.join(lacking)}", instead)
 
 
 # --- which fields are meant, which variables they take, and the choices of their algebra ---------------------

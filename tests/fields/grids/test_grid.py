@@ -78,7 +78,7 @@ def test_axes_are_resolved_fixed_or_averaged():
     g = grid("zx", at={"y": 7.0}, bounds={"x": (1, 2), "z": (5, 5)}, spacing={"x": 0.5, "z": 0.25})
     assert (g.axes, g.seen, g.averaged, g.shape) == ("xz", "xyz", "", (3, 1, 1))
     assert g.origin.tolist() == [1, 7, 5]
-    assert g.steps.tolist() == [0.5, 1, 0.25]
+    assert g.spacings.tolist() == [0.5, 1, 0.25]
     assert g.active.all()
     g = grid("y", bounds={"y": (0, 2)}, plane="xy")
     assert (g.seen, g.averaged, g.shape) == ("y", "x", (1, 3, 1))

@@ -70,7 +70,7 @@ class MeshTooLargeError(ValueError):
 
 def nodes_along(
     a: str,
-    step: Any,
+    spacing: Any,
     axes: Iterable[str],
     bounds: Bounds,
     automatic: Bounds,
@@ -79,14 +79,14 @@ def nodes_along(
     cells: bool = False,
 ) -> tuple[NDArray, float]:
     """Nodes along one of the resolved axes, and their distance; arguments as in `make_grid`."""
-    if not (is_finite(step) and step > _FINEST * cutoff):
+    if not (is_finite(spacing) and spacing > _FINEST * cutoff):
         raise ValueError(
-            f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}, not far "
+            f"spacing along {a!r} is {spacing!r}: expected a positive distance (m) for each of {list(axes)}, not far "
             f"below the radius of the support ({cutoff:g} m)"
         )
     if a in bounds:
         first, last = rising_pair(f"bounds[{a!r}]", bounds[a], equal=True)
-        count = np.floor((last - first) / step * (1 + 1e-12) + 1e-9) + 1
+        count = np.floor((last - first) / spacing * (1 + 1e-12) + 1e-9) + 1
     elif a not in automatic:
         raise ValueError(
             f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent, or no longer, as "
@@ -95,28 +95,28 @@ def nodes_along(
         )
     elif a in period:
         first = automatic[a][0]
-        count = max(1, np.floor(period[a] / step + 0.5))
-        step = period[a] / count
+        count = max(1, np.floor(period[a] / spacing + 0.5))
+        spacing = period[a] / count
         if cells:
-            first += 0.5 * step
+            first += 0.5 * spacing
     else:
         first, last = automatic[a]
-        count = np.ceil((last - first) / step) + 1
+        count = np.ceil((last - first) / spacing) + 1
         if cells:
             count = max(1, count - 1)
-        first = 0.5 * (first + last) - 0.5 * (count - 1) * step
+        first = 0.5 * (first + last) - 0.5 * (count - 1) * spacing
     if not count < _MOST_OF_ONE_AXIS:
         raise MeshTooLargeError(
             f"the mesh would have {count:.3g} nodes along {a!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
             "spacing or smaller bounds"
         )
-    if count > 1 and step > 2 * cutoff and not cells:
+    if count > 1 and spacing > 2 * cutoff and not cells:
         warn_once(
             f"spacing along {a}",
-            f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
+            f"spacing {spacing:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
             "particles between nodes are not seen; choose a smaller spacing or a larger width",
         )
-    return first + step * np.arange(int(count)), float(step)
+    return first + spacing * np.arange(int(count)), float(spacing)
 
 
 def make_grid(
@@ -161,14 +161,14 @@ def make_grid(
         raise ValueError(f"axes={axes!r}: expected any of {plane!r}, such as {plane[-1]!r}")
     check_places(axes, at, bounds, plane)
     axes = "".join(sorted(axes))
-    steps: Mapping[str, Any] = dict.fromkeys(axes, spacing)
+    spacings: Mapping[str, Any] = dict.fromkeys(axes, spacing)
     if isinstance(spacing, Mapping):
-        steps = spacing
+        spacings = spacing
     nodes: dict[str, NDArray] = {}
     distances: dict[str, float] = {}
     for a in axes:
         nodes[a], distances[a] = nodes_along(
-            a, steps.get(a), axes, bounds, automatic, period, cutoff, cells
+            a, spacings.get(a), axes, bounds, automatic, period, cutoff, cells
         )
     shape = {a: len(x) for a, x in nodes.items()}
     if math.prod(map(float, shape.values())) > MAX_NODES:
@@ -179,9 +179,9 @@ def make_grid(
     fixed = {a: float(v) for a, v in at.items()}
     firsts = fixed | {a: float(x[0]) for a, x in nodes.items()}
     origin = np.array([firsts.get(a, 0.0) for a in COMPONENTS])
-    steps_along = np.array([distances.get(a, 0.0) for a in COMPONENTS])
-    last = origin + (np.array([shape.get(a, 1) for a in COMPONENTS]) - 1) * steps_along
-    half = 0.5 * steps_along * cells
+    along = np.array([distances.get(a, 0.0) for a in COMPONENTS])
+    last = origin + (np.array([shape.get(a, 1) for a in COMPONENTS]) - 1) * along
+    half = 0.5 * along * cells
     return Nodes(
         dims=tuple(axes),
         sizes=tuple(shape.values()),

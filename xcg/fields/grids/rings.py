@@ -113,19 +113,19 @@ def make_rings(
     known = [NAMES[letter] for letter in letters]
     resolved = [NAMES[letter] for letter in letters if letter in axes]
     fixed = _fixed_places(at, bounds, resolved, known)
-    steps: Mapping[str, Any] = {"r": spacing, "z": spacing}
+    spacings: Mapping[str, Any] = {"r": spacing, "z": spacing}
     if isinstance(spacing, Mapping):
-        steps = spacing
+        spacings = spacing
     nodes: dict[str, NDArray] = {}
     if "r" in resolved:
-        nodes["r"] = _radii(steps.get("r"), resolved, bounds, automatic, kernel.cutoff)
+        nodes["r"] = _radii(spacings.get("r"), resolved, bounds, automatic, kernel.cutoff)
     radii = nodes.get("r", np.array([fixed.get("r", 0.0)]))
     low, high = _part_of_circle(bounds)
     if "theta" in resolved:
-        nodes["theta"] = _angles(steps, resolved, bounds, float(radii.max()), kernel.cutoff)
+        nodes["theta"] = _angles(spacings, resolved, bounds, float(radii.max()), kernel.cutoff)
     if "z" in resolved:
         nodes["z"], _ = nodes_along(
-            "z", steps.get("z"), resolved, bounds, automatic, period, kernel.cutoff
+            "z", spacings.get("z"), resolved, bounds, automatic, period, kernel.cutoff
         )
     heights = nodes.get("z", np.array([fixed.get("z", 0.0)]))
     # by the loops' kernel; theta by its rule
@@ -201,25 +201,25 @@ def _fixed_places(
 
 
 def _radii(
-    step: float | None,
+    spacing: float | None,
     resolved: Sequence[str],
     bounds: Bounds,
     automatic: Bounds,
     cutoff: float,
 ) -> NDArray:
-    """Return the radii of the nodes; without bounds a whole number of steps from the axis."""
+    """Return the radii of the nodes; without bounds a whole number of spacings from the axis."""
     limits = dict(bounds)
-    if "r" not in bounds and "r" in automatic and step:
+    if "r" not in bounds and "r" in automatic and spacing:
         _, end = automatic["r"]
-        limits["r"] = (0.0, math.ceil(end / step) * step)
-    radii, _ = nodes_along("r", step, resolved, limits, automatic, {}, cutoff)
+        limits["r"] = (0.0, math.ceil(end / spacing) * spacing)
+    radii, _ = nodes_along("r", spacing, resolved, limits, automatic, {}, cutoff)
     if radii[0] < 0.0:
         raise ValueError(f"bounds['r']={tuple(bounds['r'])!r}: expected radii, none below zero")
     return radii
 
 
 def _angles(
-    steps: Mapping[str, Any],
+    spacings: Mapping[str, Any],
     resolved: Sequence[str],
     bounds: Bounds,
     radius: float,
@@ -227,12 +227,12 @@ def _angles(
 ) -> NDArray:
     """Return the angles of the nodes; by default as far from each other at the largest radius as the radii are."""
     widest = max(radius, cutoff)
-    step = steps.get("theta")
-    if step is None and "r" in steps:
-        step = steps["r"] / widest
+    spacing = spacings.get("theta")
+    if spacing is None and "r" in spacings:
+        spacing = spacings["r"] / widest
     circle = {"theta": (0.0, _FULL)}
     turn = {"theta": _FULL}
-    angles, _ = nodes_along("theta", step, resolved, bounds, circle, turn, cutoff / widest)
+    angles, _ = nodes_along("theta", spacing, resolved, bounds, circle, turn, cutoff / widest)
     return angles
 
 

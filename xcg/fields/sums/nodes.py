@@ -89,10 +89,12 @@ class MeshBlock:
 
     def nodes(self, smoothing: Smoothing) -> BlockNodes:
         """Return the nodes as loops take them, in cutoffs from the first node of the mesh on."""
-        steps = smoothing.steps.tolist()
-        begin = [low * step for low, step in zip(self.low, steps, strict=True)]
-        end = [(high - 1) * step for high, step in zip(self.high, steps, strict=True)]
-        rows = Rows(self.low, self.high, triple(steps), triple([1.0 / step for step in steps]))
+        spacings = smoothing.spacings.tolist()
+        begin = [low * spacing for low, spacing in zip(self.low, spacings, strict=True)]
+        end = [(high - 1) * spacing for high, spacing in zip(self.high, spacings, strict=True)]
+        rows = Rows(
+            self.low, self.high, triple(spacings), triple([1.0 / spacing for spacing in spacings])
+        )
         return BlockNodes(triple(begin), triple(end), *smoothing.surroundings, rows=rows)
 
 
@@ -133,7 +135,7 @@ class Nodes:
 
     Other attributes follow from these: `count`, the number of nodes; `active`, a mask (3,) of the
     axes along which distance to a node counts, resolved or fixed; `shape`, the number of nodes
-    along x, y, z, of scattered ones as if in a row; `steps`, the distance by which loops count
+    along x, y, z, of scattered ones as if in a row; `spacings`, the distance by which loops count
     nodes (3,), infinity where they do not.
     """
 
@@ -155,12 +157,12 @@ class Nodes:
         self.count = math.prod(self.sizes)
         self.active = np.array([a in self.seen for a in COMPONENTS])
         length = dict(zip(self.dims, self.sizes, strict=True))
-        step = 1.0
+        spacing = 1.0
         if self.parts is not None:  # as if in a row
             length = {"x": self.count}
-            step = np.inf
+            spacing = np.inf
         self.shape = triple([length.get(a, 1) for a in COMPONENTS])
-        self.steps = np.array([self.spacing.get(a, step) for a in COMPONENTS])
+        self.spacings = np.array([self.spacing.get(a, spacing) for a in COMPONENTS])
 
     @property
     def text(self) -> dict[str, str]:
@@ -185,7 +187,7 @@ class Nodes:
     def nodes_within(self, extent: float) -> float:
         """Return the number of nodes in a box (m); of scattered ones as if they were spread evenly."""
         if self.parts is None:
-            return float(np.clip(extent / self.steps, 1.0, self.shape)[self.active].prod())
+            return float(np.clip(extent / self.spacings, 1.0, self.shape)[self.active].prod())
         places = sum(part.count for part in self.parts)
         share = (extent / (self.upper - self.lower + extent))[self.active].prod()
         return max(1.0, places * float(share))
@@ -264,7 +266,7 @@ class Smoothing:
 
     Attributes
     ----------
-    steps : array (3,)
+    spacings : array (3,)
         Spacing of a mesh, where one node means nothing and is 1; infinity for points.
     lower, upper : array (3,)
         Bounds of the nodes.
@@ -278,12 +280,12 @@ class Smoothing:
         self.nodes = nodes
         self.cutoff = cutoff
         self.weights = weights
-        self.steps = np.where(np.array(nodes.shape) > 1, nodes.steps / cutoff, 1.0)
+        self.spacings = np.where(np.array(nodes.shape) > 1, nodes.spacings / cutoff, 1.0)
         self.lower = (nodes.lower - nodes.origin) / cutoff
         self.upper = (nodes.upper - nodes.origin) / cutoff
         self.period = np.where(nodes.active, period, np.inf) / cutoff
         self.surroundings = triple(nodes.active), triple(self.period)
-        numbers = np.column_stack([self.upper - self.lower, self.steps, self.period]).tolist()
+        numbers = np.column_stack([self.upper - self.lower, self.spacings, self.period]).tolist()
         # extent, spacing and period
         self._along_active = [(k, numbers[k]) for k in range(3) if nodes.active[k]]
 
@@ -310,11 +312,11 @@ class Smoothing:
             most = _MOST_PAIRED
         images = [1.0, 1.0, 1.0]
         over_mesh = [1.0, 1.0, 1.0]
-        for k, (extent, step, period) in self._along_active:
-            if not (extent < _FAR and (reach[k] + extent) / step < _FAR):
+        for k, (extent, spacing, period) in self._along_active:
+            if not (extent < _FAR and (reach[k] + extent) / spacing < _FAR):
                 raise SceneError(
                     f"{source}: along '{COMPONENTS[k]}' the mesh is {extent * self.cutoff:.3g} m long "
-                    f"with nodes {step * self.cutoff:.3g} m apart, and the radius of the support is "
+                    f"with nodes {spacing * self.cutoff:.3g} m apart, and the radius of the support is "
                     f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
                 )
             images[k] = float(reach[k]) / period + 1.0
@@ -332,7 +334,7 @@ class Smoothing:
 
     def fits_single(self, longest: float) -> bool:
         """Return whether single precision is enough to number the nodes that a branch of this length reaches."""
-        return all((longest + 2.0) / step < _SINGLE for _, (_, step, _) in self._along_active)
+        return all((longest + 2.0) / spacing < _SINGLE for _, (_, spacing, _) in self._along_active)
 
     def too_long(self, longest: NDArray) -> bool:
         """Return whether branches with these largest components (3,) must be cut."""
