@@ -438,6 +438,7 @@ def _shear() -> System:
         Truth("shear_rate", rate),
         Truth("granular_temperature", 1.0),
         Truth("kinetic_stress", number * MASS, "trace"),
+        Truth("kinetic_stress", number * MASS, "xx"),
         Truth("friction_coefficient", 0.0, scale=MU),
         Truth("inertial_number", rate / np.sqrt(number * MASS)),
     ]
