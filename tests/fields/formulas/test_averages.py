@@ -940,6 +940,11 @@ def test_runs_on_other_meshes_and_of_other_options_are_refused_by_name():
     short, long = (runs(1, ("density",), bounds={"z": (0.0, high)})[0] for high in (2.0, 3.0))
     with pytest.raises(ValueError, match=r"the results differ in z, .*like=first"):
         xr.concat([short, long], "run", join="outer").cg.time_average(dim="run")
+    lazy = xr.concat([short.chunk(time=1), long.chunk(time=1)], "run", join="outer")
+    with raise_if_dask_computes():
+        mean = lazy.cg.time_average(dim="run")
+    with pytest.raises(ValueError, match=r"the results differ in z, .*like=first"):
+        mean.density.compute()
     later = b.assign_coords(time=b.time + 100)
     with pytest.raises(ValueError, match="the results differ in time,"):
         xr.concat([a, later], "run", join="outer").cg.time_average(dim="run")

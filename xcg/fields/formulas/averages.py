@@ -14,8 +14,9 @@ The kinetic stress of an average is about the averaged velocity U, by the law of
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -256,7 +257,7 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
     """Return results of runs without their errors; raise ValueError unless all have the same nodes and times.
 
     xarray joins different nodes to those of all, where the fields of some runs are NaN. Lazy fields
-    are not read: there, averages are NaN.
+    raise when they are computed.
     """
     axes = (*COMPONENTS, "r", "theta", *NOT_NODES)
     if dim in axes or dim not in f.dims:
@@ -267,19 +268,29 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
     if window is not None:
         raise ValueError(f"time_average(dim={dim!r}): a window is of steps; leave window= out")
     differing = [axis for axis in axes if axis in f.coords and dim in f[axis].dims]
+    if differing:
+        raise ValueError(_of_different_meshes(dim, differing))
     rows = {name: row for name, row in _rows_of(f).items() if row}
     sums = [name for name, row in rows.items() if row.additive and dim in f[name].dims]
-    if sums and f[sums[0]].chunks is None:
+    if sums:
         lacking = f[sums[0]].isnull().any(dim)
-        for axis in map(str, lacking.dims):
-            if lacking.all([other for other in lacking.dims if other != axis]).any():
-                differing.append(axis)
-    if differing:
-        raise ValueError(
-            f"time_average(dim={dim!r}): the results differ in {', '.join(dict.fromkeys(differing))}, so that some "
-            "have no value where others have: compute all on one mesh, ds.cg.coarse_grain(..., like=first), and at "
-            "equal times, or take f.cg.time_average() of each before they are joined"
-        )
+        nodes = [axis for axis in lacking.dims if axis in axes or axis == "time"]
+        gaps = []
+        for axis in nodes:
+            gaps.append(lacking.all([other for other in lacking.dims if other != axis]).any())
+        refuse = partial(_refuse_gaps, dim, nodes)
+        of_runs = [name for name in rows if name in f and dim in f[name].dims]
+        checked = {}
+        for name in of_runs:
+            checked[name] = xr.apply_ufunc(
+                refuse,
+                f[name],
+                *gaps,
+                dask="parallelized",
+                output_dtypes=[f[name].dtype],
+                keep_attrs=True,
+            )
+        f = f.assign(checked)
     if {"averaged_steps", "averaged_runs"} & {*f.attrs}:
         errors = _errors_among(map(str, f.data_vars))
         f = f.drop_vars([*errors, *(f"{name}_from" for name in errors)], errors="ignore")
@@ -287,6 +298,22 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
     equal = {name: f[name] for name in rows if name in f and dim not in f[name].dims}
     count = f.sizes[dim]
     return f.assign({name: values.expand_dims({dim: count}) for name, values in equal.items()})
+
+
+def _refuse_gaps(dim: str, axes: Sequence[Hashable], values: NDArray, *gaps: NDArray) -> NDArray:
+    """Return the values of a field; raise ValueError where axes have nodes that some runs lack."""
+    differing = [str(axis) for axis, gap in zip(axes, gaps, strict=True) if np.any(gap)]
+    if differing:
+        raise ValueError(_of_different_meshes(dim, differing))
+    return values
+
+
+def _of_different_meshes(dim: str, axes: Iterable[str]) -> str:
+    return (
+        f"time_average(dim={dim!r}): the results differ in {', '.join(axes)}, so that some "
+        "have no value where others have: compute all on one mesh, ds.cg.coarse_grain(..., like=first), and at "
+        "equal times, or take f.cg.time_average() of each before they are joined"
+    )
 
 
 def coarsen(f: xr.Dataset, **blocks: int) -> xr.Dataset:
