@@ -97,3 +97,12 @@ def test_wrong_arguments_of_lazy_averages_raise_at_the_call():
             f.cg.time_average(window=40)
         with pytest.raises(ValueError, match="velocity needs density"):
             f.drop_vars("density").cg.time_average()
+
+
+def test_averages_of_one_number_a_step_are_lazy_too():
+    """As of a flow rate, which has no nodes."""
+    plane = xcg.Plane((0, 0, 2), (0, 0, 1))
+    rate = random_steps(STEPS, first=60, more=0).chunk(time=5).cg.flow_rate(plane, width=0.9)
+    with raise_if_dask_computes():
+        average = rate.cg.time_average()
+    xr.testing.assert_equal(average.compute(), rate.compute().cg.time_average())

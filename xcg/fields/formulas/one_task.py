@@ -49,6 +49,8 @@ def in_one_task(
             variables[dim] = f[dim].variable
     template = xr.Dataset(variables, attrs=template.attrs).set_coords(list(template.coords))
     whole = f.chunk(dict.fromkeys(f.dims, -1))
+    if not template.chunks:  # map_blocks takes no template of single numbers, as of a flow rate
+        return function(whole, **arguments)
     return xr.map_blocks(_called, whole, kwargs=kwargs, template=template)
 
 
