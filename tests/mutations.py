@@ -266,7 +266,7 @@ TABLE = [
     # --- fields/grids ---
     Mutation(
         "fields/grids/grid.py", "first += 0.5 * spacing", "first += 0.4 * spacing",
-        "test_cells_lie_side_by_side",
+        "test_cells_of_a_periodic_axis_begin_at_its_edge",
     ),
     Mutation(
         "fields/grids/walls.py", "normal = self._sign * (vectors * radial)",

@@ -139,6 +139,13 @@ def test_faces_that_touch_and_cells_within_a_grain():
     assert share_of([(0.0, 3.0), (-3.0, 3.0), (-3.0, 3.0)]) == pytest.approx(0.5, rel=1e-15)
 
 
+def test_cells_of_a_periodic_axis_begin_at_its_edge():
+    ds = xcg.datasets.simple_cubic(4)
+    low, high = (ds.attrs[f"box_{end}"][2] for end in ("lower", "upper"))
+    z = ds.cg.cell_volumes((high - low) / 8, axes="z").z.values
+    np.testing.assert_allclose(z, low + (np.arange(8) + 0.5) * (high - low) / 8, rtol=1e-12)
+
+
 def test_axes_that_are_not_divided_reach_through_the_box():
     ds = random_scene(periodic="xyz")
     whole = ds.cg.cell_volumes(1.0)

@@ -98,7 +98,7 @@ _WITHOUT_EFFECT = (
 
 
 def _choose(
-    asked: str | Quantity | Sequence[str | Quantity] | None, available: Sequence[str]
+    fields: str | Quantity | Sequence[str | Quantity] | None, available: Sequence[str]
 ) -> list[str]:
     """Its names for a request, with or without ``/*`` and with "_" or "/"; all that `available` fields allow for None.
 
@@ -107,13 +107,13 @@ def _choose(
     ValueError
         For unknown names, single components, and fields that the preset does not provide.
     """
-    if asked is None:
+    if fields is None:
         return [name for name, row in ROWS.items() if row.ours in available]
     known = {name.replace("/", "_"): name for name in (*ROWS, *_NOT_FOLLOWED)}
-    if isinstance(asked, (str, Quantity)):
-        asked = [asked]
+    if isinstance(fields, (str, Quantity)):
+        fields = [fields]
     names = []
-    for word in map(str, asked):
+    for word in map(str, fields):
         name = known.get(word.removesuffix("/*").replace("/", "_"))
         if name in ROWS:
             names.append(name)

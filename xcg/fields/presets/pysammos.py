@@ -226,7 +226,7 @@ def _numbers_of_rheology(plane: str, index: Mapping[str, tuple[int, ...]]) -> li
 
 
 def choose(
-    asked: str | Quantity | Sequence[str | Quantity] | None,
+    fields: str | Quantity | Sequence[str | Quantity] | None,
     table: Mapping[str, PysammosRow],
     available: Sequence[str],
 ) -> list[str]:
@@ -237,12 +237,12 @@ def choose(
     ValueError
         For names that are neither.
     """
-    if asked is None:
+    if fields is None:
         return [name for name, row in table.items() if set(row.field.fields) <= set(available)]
-    if isinstance(asked, (str, Quantity)):
-        asked = [asked]
+    if isinstance(fields, (str, Quantity)):
+        fields = [fields]
     names: list[str] = []
-    for word in map(str, asked):
+    for word in map(str, fields):
         of_word = [name for name, row in table.items() if word in (name, row.family)]
         if word in table:
             of_word = [word]
