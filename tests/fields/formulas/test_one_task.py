@@ -90,6 +90,12 @@ def test_warnings_about_the_result_come_with_the_call_and_about_its_values_once_
     assert len([w for w in caught if "changes over" in str(w.message)]) == 1
 
 
+def test_variables_may_differ_in_their_chunks():
+    f = lazy_result(axes="z", fields="velocity")
+    average = f.assign(velocity=f.velocity.chunk(time=2)).cg.time_average()
+    xr.testing.assert_identical(average.compute(), f.cg.time_average().compute())
+
+
 def test_wrong_arguments_of_lazy_averages_raise_at_the_call():
     f = lazy_result(axes="z", fields=["velocity", "density"])
     with raise_if_dask_computes():
