@@ -159,7 +159,7 @@ class Map:
         self.figure.segment(
             **{name: name for name in _EMPTY_ARROWS},
             source=self.arrows,
-            line_color="white",
+            line_color="black",
             line_width=3.5,
         )
         self.figure.add_layout(
@@ -170,8 +170,8 @@ class Map:
                     for k, end in enumerate(("start", "end"))
                 },
                 source=self.arrows,
-                end=models.VeeHead(size=7, fill_color="black", line_color="white"),
-                line_color="black",
+                end=models.VeeHead(size=7, fill_color="white", line_color="black"),
+                line_color="white",
                 line_width=1.5,
             )
         )
