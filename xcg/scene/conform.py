@@ -360,7 +360,7 @@ def labels_along(ds: xr.Dataset, dim: str) -> list[Any]:
     """Labels along a dimension of components, x, y and z by default."""
     if dim not in ds.coords:
         return list(COMPONENTS)
-    return np.atleast_1d(ds.variables[dim]).tolist()
+    return np.atleast_1d(ds.variables[dim].to_numpy()).tolist()
 
 
 def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:

@@ -103,8 +103,8 @@ class Scene:
 
         Of a lazy scene it is that of the farthest corner of the particles' extent.
         """
-        position = self.ds["position"]
-        if is_in_memory(position.variable):
+        position = self.columns["position"]
+        if is_in_memory(position):
             ends = position.transpose("time", "particle", "component")[[0, -1]].to_numpy()
             return float(np.nanmax(np.hypot(ends[..., 0], ends[..., 1])))
         if self.corners is None:
@@ -120,20 +120,20 @@ class Scene:
 
         Attributes hold a lazy box that does not change.
         """
-        ds = self.ds
-        in_attributes = {"box_lower", "box_upper"} <= ds.attrs.keys()
-        if "box" in ds and ds["box"].size and (ds["box"].chunks is None or not in_attributes):
-            steps = ds.variables["box"]
+        attrs = self.ds.attrs
+        in_attributes = {"box_lower", "box_upper"} <= attrs.keys()
+        box = self.columns.get("box")
+        if box is not None and box.size and (box.chunks is None or not in_attributes):
             # "step", too
-            first = steps.isel({dim: 0 for dim in steps.dims if dim not in ("component", "bound")})
-            box = first.transpose("component", "bound").to_numpy()
+            first = box.isel({dim: 0 for dim in box.dims if dim not in ("component", "bound")})
+            ends = first.transpose("component", "bound").to_numpy()
         elif in_attributes:
-            box = np.stack([ds.attrs["box_lower"], ds.attrs["box_upper"]], axis=1)
+            ends = np.stack([attrs["box_lower"], attrs["box_upper"]], axis=1)
         else:
             return {}
         return {
             a: (float(low), float(high))
-            for a, (low, high) in zip(COMPONENTS, box, strict=True)
+            for a, (low, high) in zip(COMPONENTS, ends, strict=True)
             if high - low < np.inf
         }
 

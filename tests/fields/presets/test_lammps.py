@@ -212,3 +212,16 @@ def test_wrong_meshes_raise(arguments, message):
         xcg.lammps_mesh(
             xcg.datasets.random_scene(20), **{"delta": 1.0, "cutoff": 1.0, "width": 0.3} | arguments
         )
+
+
+@pytest.mark.parametrize(
+    "select", [lambda ds: ds.isel(time=0), lambda ds: ds.set_coords(["box", "diameter"])]
+)
+def test_meshes_of_presets_take_any_selection_of_a_scene(select):
+    ds = xcg.datasets.simple_cubic(10)
+    options = {"delta": 1.0, "cutoff": CUTOFF, "width": WIDTH}
+    of_bins = xcg.lammps_mesh(ds, "z", **options)
+    selected = xcg.lammps_mesh(select(ds), "z", **options)
+    assert of_bins.pop("kernel").cutoff == selected.pop("kernel").cutoff
+    assert of_bins == selected
+    assert xcg.pysammos_mesh(select(ds), "xz") == xcg.pysammos_mesh(ds, "xz")

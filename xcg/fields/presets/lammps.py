@@ -27,6 +27,7 @@ from xcg.fields.grids.grid import check_axes
 from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Gaussian, Kernel, kernel_of
+from xcg.scene.conform import takes_scene
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, units_in
 
@@ -187,8 +188,9 @@ def translate(scene: Scene, request: Request) -> tuple[Request, Callable[[xr.Dat
     return replace(in_xcg, fields=needed), partial(_from_xcg, names=names, axes=scene.setup.plane)
 
 
+@takes_scene
 def lammps_mesh(
-    ds: xr.Dataset,
+    scene: Scene,
     axes: str = "xyz",
     *,
     delta: float | Mapping[str, float],
@@ -234,7 +236,6 @@ def lammps_mesh(
     >>> dict(f.sizes)["z"]
     5
     """
-    scene = Scene(ds)
     scene.require((), "lammps_mesh")
     sizes: Mapping[str, Any] = dict.fromkeys(axes, delta)
     if isinstance(delta, Mapping):

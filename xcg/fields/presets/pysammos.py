@@ -27,6 +27,7 @@ from xcg.fields.grids.grid import check_axes
 from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import KernelName, kernel_of
+from xcg.scene.conform import takes_scene
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS
 
@@ -316,8 +317,9 @@ def translate(scene: Scene, request: Request) -> tuple[Request, Callable[[xr.Dat
     return in_xcg, partial(_in_its_names, renamed=same)
 
 
+@takes_scene
 def pysammos_mesh(
-    ds: xr.Dataset,
+    scene: Scene,
     axes: str = "xyz",
     *,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -360,7 +362,6 @@ def pysammos_mesh(
     >>> ds = xcg.datasets.simple_cubic(10)
     >>> f = ds.cg.coarse_grain(preset="pysammos", **xcg.pysammos_mesh(ds, "xz"))
     """
-    scene = Scene(ds)
     if scene.corners is None or "dmax" not in scene.sizes:
         raise ValueError(
             "pysammos_mesh needs the extent and the largest diameter; call ds = ds.cg.measure() first"
