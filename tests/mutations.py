@@ -382,6 +382,14 @@ TABLE = [
         "test_floors_of_relaxed_packings test_the_floors_of_branches_and_tangential_forces_follow",
     ),
     Mutation(
+        "fields/formulas/doubts.py", "[FLOOR] / math.sqrt(places)", "[FLOOR] / places",
+        "test_the_floor_of_a_profile_is_that_of_the_marginal",
+    ),
+    Mutation(
+        "fields/formulas/doubts.py", "[FLOOR] / math.sqrt(number)", "[FLOOR] / number",
+        "test_norms_of_averages_of_few_grains_warn_of_their_floor",
+    ),
+    Mutation(
         "fields/formulas/doubts.py", "(reached & values.isnull())", "values.notnull()",
         "test_averaged_temperatures_of_phases_that_are_unknown_warn_of_their_share",
     ),

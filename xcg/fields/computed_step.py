@@ -13,6 +13,7 @@ from xcg.common.messages import active_call, warn_once, warn_user
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import takes_stress_of_step
 from xcg.fields.formulas.doubts import UNKNOWN
+from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR
 from xcg.fields.plan import Plan
 from xcg.fields.pressures import Pressures, pressures_of, spread_of_contacts
 from xcg.fields.support import floor_text, floors_of
@@ -20,7 +21,6 @@ from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame
 
-_CONSIDERABLE_FLOOR = 0.2  # share of the usual value of a field
 _CONSIDERABLE = 0.05  # share of the pressure
 
 _OF_READ_CONTACTS = ("branch_anisotropy", "tangential_force_anisotropy")
@@ -99,7 +99,7 @@ class ComputedStep:
         texts = [
             f"{name} is about {floor_text(self.plan, name, floor)}"
             for name, (floor, usual) in floors_of(self.plan, support).items()
-            if floor > _CONSIDERABLE_FLOOR * usual
+            if floor > CONSIDERABLE_FLOOR * usual
         ]
         if not texts:
             return {}

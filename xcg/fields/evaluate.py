@@ -21,7 +21,7 @@ from xcg.fields.formulas.program import program_for
 from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan
 from xcg.fields.sums.nodes import Block
-from xcg.fields.support import describe_floors
+from xcg.fields.support import numbers_of_floors
 from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
@@ -173,10 +173,10 @@ class CoarseGraining(FrameAnalysis):
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Name the formula, source and floor of each field, and what the scene lacks for it."""
         system = self.plan.setup.unit_system
-        floors = describe_floors(self.plan)
+        floors = numbers_of_floors(self.plan)
         for name in self.plan.fields:
             field = registry.row(name, self.plan.options)
-            attrs = about(field, system)
+            attrs: dict[str, Any] = about(field, system)
             moments = registry.moments_of([name], self.plan.options).values()
             optional = {variable for moment in moments for variable in moment.optional}
             lacking = [n for n in ROTATION if n in optional and n not in self.plan.variables]

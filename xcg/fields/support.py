@@ -28,14 +28,12 @@ def text_of_floors(scene: Scene, plan: Plan) -> str | None:
     return f"{values} in one step where the true value is 0, from {support.text()} at a node"
 
 
-def describe_floors(plan: Plan) -> dict[str, str]:
-    """Return the floor of each requested field that has one, in words, for its attributes."""
+def numbers_of_floors(plan: Plan) -> dict[str, float]:
+    """Return the floor of each requested field that has one, in two digits, for its attributes."""
     if plan.support is None:
         return {}
-    return {
-        name: f"about {floor_text(plan, name, floor)} where the true value is 0"
-        for name, (floor, _) in floors_of(plan, plan.support).items()
-    }
+    floors = floors_of(plan, plan.support)
+    return {name: float(f"{floor:.2g}") for name, (floor, _) in floors.items()}
 
 
 def floor_text(plan: Plan, name: str, floor: float) -> str:

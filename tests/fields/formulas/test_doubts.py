@@ -142,3 +142,50 @@ def test_averaged_temperatures_of_phases_that_are_known_are_silent():
     f = ds.cg.coarse_grain("granular_temperature", by="species", spacing=3.0, width="1.5 d43")
     assert told(f.cg.time_average)[1] == []
     assert told(f.cg.profile, "z")[1] == []
+
+
+AVERAGES = {
+    "profile": lambda f: f.cg.profile("z"),
+    "coarsen": lambda f: f.cg.coarsen(x=6, y=6, z=6),
+    "time_average": lambda f: f.cg.time_average(),
+}
+
+
+@pytest.mark.parametrize(
+    ("purpose", "steps"), [("profile", 1), ("coarsen", 1), ("time_average", 4)]
+)
+def test_norms_of_averages_of_few_grains_warn_of_their_floor(purpose, steps):
+    """Of an isotropic packing mu and a_c are 0; the warning names what they are on average."""
+    ds = truths.packing(count=300, steps=steps)
+    names = ["friction_coefficient", "contact_anisotropy"]
+    f, _ = told(ds.cg.coarse_grain, names, axes="xyz", width="0.75 d43", for_averages=True)
+    f = f.isel({axis: slice(6) for axis in "xyz"})
+    mean, (text,) = told(AVERAGES[purpose], f)
+    assert text.startswith(f"{purpose}: ")
+    for name in names:
+        floor = re.search(rf"{name} is about ([\d.]+)", text)
+        if floor:
+            assert float(floor[1]) == pytest.approx(float(mean[name].mean()), rel=0.45), name
+    assert "contact_anisotropy" in text
+    # nobody asked for these by name
+    f, _ = told(ds.cg.coarse_grain, axes="xyz", width="0.75 d43")
+    assert told(AVERAGES[purpose], f.isel({axis: slice(6) for axis in "xyz"}))[1] == []
+
+
+def test_the_floor_of_a_profile_is_that_of_the_marginal():
+    """As many places as share no grains are averaged: the support of a slab has all of them."""
+    ds = truths.packing(count=300, steps=1)
+    options = {"width": "1.5 d43", "for_averages": True}
+    f, _ = told(ds.cg.coarse_grain, "friction_coefficient", axes="xyz", **options)
+    of_profile, _ = told(f.cg.profile, "z")
+    marginal, _ = told(ds.cg.coarse_grain, "friction_coefficient", axes="z", **options)
+    floors = [g.friction_coefficient.attrs["floor_of_one_step"] for g in (of_profile, marginal)]
+    assert floors[0] == pytest.approx(floors[1], rel=0.05)
+
+
+def test_averages_of_many_grains_have_no_floor_to_warn_of():
+    ds = truths.packing(count=300, steps=1)
+    f, _ = told(
+        ds.cg.coarse_grain, "friction_coefficient", axes="xyz", width="2 d43", for_averages=True
+    )
+    assert told(f.cg.profile, "z")[1] == []

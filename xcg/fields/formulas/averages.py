@@ -28,7 +28,15 @@ from xcg.common.checks import check, whole
 from xcg.common.messages import active_call, warn_once
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, Jackknife, jackknife
-from xcg.fields.formulas.doubts import NOT_NODES, Steadiness, unsure_sign, with_unknown_temperatures
+from xcg.fields.formulas.doubts import (
+    NOT_NODES,
+    Steadiness,
+    has_floors,
+    unsure_sign,
+    warn_of_floors,
+    with_floors,
+    with_unknown_temperatures,
+)
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.one_task import in_one_task, is_small
 from xcg.fields.formulas.variables import row_of_result
@@ -91,9 +99,10 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
         mean = _average_of((sums * sums["r"]).sum(others, skipna=False) / area, f, "profile")
         return mean.set_coords(beside)
     mean = _average_of(sums.mean(others, skipna=False), f, "profile")
-    if not noise or not set(others) <= set(COMPONENTS):
+    if not (noise or has_floors(f)) or not set(others) <= set(COMPONENTS):
         return mean.set_coords(beside)
     count = _independent(f, others)
+    mean = with_floors(mean, registry.options_of(f.attrs), "profile", count)
     if count > 1:
         scatter = {name: f[name].std(others) / np.sqrt(count - 1.0) for name in noise}
         mean = mean.assign({f"{name}_error": error for name, error in scatter.items()})
@@ -204,6 +213,8 @@ def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr
     mean = mean.assign(_beside(mean, f, blocks, samples, sums_beside))
     averaged = "averaged_runs" if of_runs else "averaged_steps"
     mean = mean.assign_attrs({averaged: in_a_mean})
+    if 1 < in_a_mean < MIN_BIAS_BLOCKS:  # it has no bias
+        warn_of_floors(mean, registry.options_of(f.attrs), "time_average")
     of_steps = {
         name: _noise(error, samples, name, [_SAMPLE], in_a_mean) for name, error in noisy.items()
     }
@@ -368,9 +379,13 @@ def coarsen(f: xr.Dataset, **blocks: int) -> xr.Dataset:
     f = f.assign_attrs(provenance(f, format_call("coarsen", blocks)))
     places = {axis: f[axis].coarsen({axis: size}).mean() for axis, size in blocks.items()}
     inside = {axis: (axis, f"{axis} in block") for axis in blocks}
+    one_block = f.isel({axis: slice(size) for axis, size in blocks.items()})
     f = f.drop_vars([*blocks]).coarsen(blocks).construct(inside)
     dims = [inner for _, inner in inside.values()]
     mean = _average_of(_to_sums(f, "coarsen", dims).mean(dims, skipna=False), f, "coarsen")
+    if has_floors(f) and set(blocks) <= set(COMPONENTS):
+        count = _independent(one_block, [*blocks])
+        mean = with_floors(mean, registry.options_of(f.attrs), "coarsen", count)
     return mean.assign_coords(places).set_coords(beside)
 
 

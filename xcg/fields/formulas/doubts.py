@@ -10,9 +10,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import Once, active_call
+from xcg.common.messages import Once, active_call, warn_once
+from xcg.fields.formulas import registry
 from xcg.fields.formulas.block_errors import Jackknife
 from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR
 
 CHANCE = 0.0027  # of more than three standard errors
 SHARES = ("share_with_drift", "share_without_plateau")  # attributes of errors
@@ -249,3 +251,52 @@ def _warned_of_sign(call: Once, errors: NDArray, share: NDArray) -> NDArray:
             "nematic_director are not known there. Average over more steps or along axes (axes=), or increase width=",
         )
     return errors
+
+
+# --- floors ------------------------------------------------------------------------------------------
+
+FLOOR = "floor_of_one_step"
+
+
+def has_floors(f: xr.Dataset) -> bool:
+    """Return whether a field of a result has a floor."""
+    return any(FLOOR in values.attrs for values in f.data_vars.values())
+
+
+def with_floors(mean: xr.Dataset, options: Options, purpose: str, places: float) -> xr.Dataset:
+    """Return an average over so many independent places with its floors, which fall with the root of their number.
+
+    It warns where they are considerable.
+    """
+    changed = {}
+    for name in map(str, mean.data_vars):
+        if FLOOR in mean[name].attrs:
+            floor = float(f"{mean[name].attrs[FLOOR] / math.sqrt(places):.2g}")
+            changed[name] = mean[name].assign_attrs({FLOOR: floor})
+    mean = mean.assign(changed)
+    warn_of_floors(mean, options, purpose)
+    return mean
+
+
+def warn_of_floors(mean: xr.Dataset, options: Options, purpose: str) -> None:
+    """Warn of the floors of an average that are considerable, of fields that were asked for by name.
+
+    Those of one step fall with the root of the number of steps and runs that are averaged.
+    """
+    if "fields=" not in mean.attrs.get("history", ""):
+        return
+    number = mean.attrs.get("averaged_steps", 1) * mean.attrs.get("averaged_runs", 1)
+    texts = []
+    for name in map(str, mean.data_vars):
+        if FLOOR not in mean[name].attrs:
+            continue
+        row = registry.row(name, options)
+        floor = mean[name].attrs[FLOOR] / math.sqrt(number)
+        if floor > CONSIDERABLE_FLOOR * row.usual:
+            texts.append(f"{name} is about {floor:.2g} {row.floor_units}".rstrip())
+    if texts:
+        warn_once(
+            f"floors of {purpose}",
+            f"{purpose}: {', '.join(texts)} where the true value is 0, as it is the average of few grains: average "
+            "over more steps (from eight on, time_average returns the bias, <field>_bias), or increase width=",
+        )

@@ -16,6 +16,8 @@ import math
 
 from xcg.fields.formulas.field import Support
 
+CONSIDERABLE_FLOOR = 0.2  # share of the usual value of a field
+
 # mean over root mean square of the norm of 2 and of 5 normal components, and the largest modulus of
 # an eigenvalue of a random deviator over its norm
 _NORM = {2: 0.886, 3: 0.951}
