@@ -7,6 +7,7 @@ machine. `tests/compiled/test_elementary.py` measures the errors stated here.
 import math
 
 from xcg.compiled._jit import inlined
+from xcg.compiled.simd import exponent, mantissa
 
 _SQRT2 = math.sqrt(2.0)
 _LN2 = math.log(2.0)
@@ -42,28 +43,19 @@ def angle(y, x):
 
 
 @inlined
-def add_logarithms(ratio, bits, exponent, factor, room, out):
-    """Add ``factor * log(ratio)``, for ratios from 1 on, to the first `room` numbers of an array.
-
-    Logarithms are right to 2e-16 + 3 ulp. `bits` is the memory of `ratio` as integers, which are
-    overwritten, and `exponent` is scratch (integers).
-    """
-    # floats and integers of one memory in separate loops, or none of them vectorises
-    for k in range(room):
-        exponent[k] = (bits[k] >> 52) - 1023
-        bits[k] = (bits[k] & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
-    for k in range(room):
-        m = ratio[k]  # mantissa, in [1, 2)
-        f = (m - _SQRT2) / (m + _SQRT2)
-        f2 = f * f
-        series = 1.0 / 19.0
-        series = series * f2 + 1.0 / 17.0
-        series = series * f2 + 1.0 / 15.0
-        series = series * f2 + 1.0 / 13.0
-        series = series * f2 + 1.0 / 11.0
-        series = series * f2 + 1.0 / 9.0
-        series = series * f2 + 1.0 / 7.0
-        series = series * f2 + 1.0 / 5.0
-        series = series * f2 + 1.0 / 3.0
-        series = series * f2 + 1.0
-        out[k] += factor[k] * (_LN2 * (exponent[k] + 0.5) + 2.0 * f * series)
+def logarithm(x):
+    """Natural logarithm of a number from 1 on, to 2e-16 + 3 ulp."""
+    m = mantissa(x)
+    f = (m - _SQRT2) / (m + _SQRT2)
+    f2 = f * f
+    series = 1.0 / 19.0
+    series = series * f2 + 1.0 / 17.0
+    series = series * f2 + 1.0 / 15.0
+    series = series * f2 + 1.0 / 13.0
+    series = series * f2 + 1.0 / 11.0
+    series = series * f2 + 1.0 / 9.0
+    series = series * f2 + 1.0 / 7.0
+    series = series * f2 + 1.0 / 5.0
+    series = series * f2 + 1.0 / 3.0
+    series = series * f2 + 1.0
+    return _LN2 * (exponent(x) + 0.5) + 2.0 * f * series

@@ -145,11 +145,11 @@ def segment(kind, table, h2, t0, t1):
 def fill_segments(kind, table, length, along, q2, count, out, closed):
     """Write the mean of the value over segments, in closed form, seen from `count` nodes."""
     if kind is LUCY_FULL:
-        fill_lucy_lines(length, along, q2, count, out, closed)
+        fill_lucy_lines(length, along, q2, count, out)
     elif kind >= TABLE:
         _fill_tabulated(kind, table, length, along, q2, count, out, closed)
     elif kind == LUCY + 1:
-        fill_lucy_planes(length, along, q2, count, out, closed)
+        fill_lucy_planes(length, along, q2, count, out)
     elif kind == LUCY + 2:
         _fill_lucy_profiles(length, along, q2, count, out)
     elif kind == HEAVISIDE:
@@ -165,7 +165,7 @@ def _fill_tabulated(kind, table, length, along, q2, count, out, closed):
     if table is PLAIN:
         return
     if not has_shells(table):
-        _fill_quadrature(kind, table, length, along, q2, count, out, closed.ratio)
+        _fill_quadrature(kind, table, length, along, q2, count, out, closed[0])
     elif kind == TABLE + 1:
         _fill_one_by_one(kind, table, length, along, q2, count, out)
     else:

@@ -20,13 +20,12 @@ the cutoff; L1 and L2 are its integrals over a line and a plane at distance q, a
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, leaf
-from xcg.compiled.elementary import add_logarithms, angle
+from xcg.compiled.elementary import angle, logarithm
 from xcg.compiled.reach import padded
 
 # What stands in `shells` (rows, shells), column by column: radius, zero where there is no shell,
@@ -36,47 +35,26 @@ POWERS = 1
 FIRST = 2
 AT_ONCE = 4
 # rows of scratch
-_H2, _R0, _R1, _LEVER, _APART, _EVEN, _ODD, _END, _SLOPE = (np.uint64(k) for k in range(9))
-SCRATCH = 9
+_H2, _R0, _R1, _LEVER, _APART, _EVEN, _ODD, _END, _SLOPE, _RATIO = (np.uint64(k) for k in range(10))
+_SCRATCH = 10
 # keeps quotients finite where both ends are at the node, and logarithms on the segment, where their
 # factor is zero
 TINY = 1e-290
 
 
-class Closed(NamedTuple):
-    """Scratch of closed forms.
-
-    Attributes
-    ----------
-    ratio, bits : (room,)
-        The same memory as floats and as integers.
-    exponent : (room,)
-        Integers.
-    rows : (SCRATCH, room)
-        Floats.
-    """
-
-    ratio: NDArray
-    bits: NDArray
-    exponent: NDArray
-    rows: NDArray
-
-
-def closed_for(room: int) -> Closed:
-    """Make scratch for lists of this length."""
-    ratio = np.zeros(room)
-    return Closed(ratio, ratio.view("int64"), np.zeros(room, "int64"), np.zeros((SCRATCH, room)))
+def closed_for(room: int) -> NDArray:
+    """Make scratch of closed forms for lists of this length."""
+    return np.zeros((_SCRATCH, room))
 
 
 @leaf
-def fill_shells(shells, length, along, q2, count, out, closed):
+def fill_shells(shells, length, along, q2, count, out, rows):
     """Write the mean of the shells over segments, seen from `count` nodes, in loops that vectorise.
 
     Arguments as in `xcg.compiled.lines.fill_segments`.
     """
     room = padded(count)
     per_length = 1.0 / length
-    ratio, bits, exponent, rows = closed
     for k in range(room):
         out[k] = 0.0
     for j in range(shells.shape[1]):
@@ -102,7 +80,7 @@ def fill_shells(shells, length, along, q2, count, out, closed):
             rows[_ODD, k] = 0.0
             rows[_END, k] = 0.0
             rows[_SLOPE, k] = 0.0
-            ratio[k] = (both + apart + TINY) / (max(0.0, both - apart) + TINY)
+            rows[_RATIO, k] = (both + apart + TINY) / (max(0.0, both - apart) + TINY)
         for n in range(int(shells[POWERS, j]) - AT_ONCE, -1, -AT_ONCE):
             a0 = shells[FIRST + n, j]
             a1 = shells[FIRST + n + 1, j]
@@ -133,8 +111,7 @@ def fill_shells(shells, length, along, q2, count, out, closed):
                 rows[_ODD, k] = e1
         for k in range(room):
             out[k] += rows[_APART, k] * (rows[_END, k] + rows[_LEVER, k] * rows[_SLOPE, k])
-            rows[_ODD, k] *= per_length * rows[_H2, k]
-        add_logarithms(ratio, bits, exponent, rows[_ODD], room, out)
+            out[k] += rows[_ODD, k] * (per_length * rows[_H2, k]) * logarithm(rows[_RATIO, k])
 
 
 @leaf
@@ -240,32 +217,66 @@ def lucy_line(h2, t):
     return t * (1.0 - 6.0 * h2 - 2.0 * t2 - 3.0 * h2 * h2 - 2.0 * h2 * t2 - 0.6 * t2 * t2) + cubic
 
 
-# Beyond this squared distance the closed form of L1 cancels to its rounding; the quadrature keeps
-# every digit of the small weights at the rim, where a node may see nothing else.
+# Beyond this squared distance the closed form of L1 cancels to its rounding; polynomials keep every
+# digit of the small weights at the rim, where a node may see nothing else.
 _RIM = 0.5
-_RIM_NODES, _RIM_WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
-@inner
-def lucy_line_value(q2, by_gradient):
-    """L1(q), or its derivative divided by q."""
+@inlined
+def lucy_line_value(q2):
+    """Return L1(q), without a branch; at the rim from a polynomial of L1 / (1 - q^2)^(7/2), to 3e-16 of its value."""
     half2 = 1.0 - q2
     half = math.sqrt(half2)
-    if q2 < _RIM:
-        if by_gradient:
-            return -24.0 * (half * (q2 + half2 / 3.0) - q2 * _log_term(q2, half))
-        return 2.0 * lucy_line(q2, half)
-    total = 0.0
-    for g in range(_RIM_NODES.size):
-        t = 0.5 * (1.0 + _RIM_NODES[g])
-        rest = half2 * (1.0 - t * t)  # 1 - r^2
-        r = math.sqrt(1.0 - rest)
-        p = rest / (1.0 + r)
-        value = p * p * p * (1.0 + 3.0 * r)
-        if by_gradient:
-            value = -12.0 * p * p
-        total += _RIM_WEIGHTS[g] * value
-    return half * total
+    log = logarithm((1.0 + half) / (math.sqrt(q2) + TINY))
+    inside = half * (0.8 - q2 * (3.6 + 3.2 * q2)) + 6.0 * q2 * q2 * log
+    y = 4.0 * half2 - 1.0
+    p = 2.070335508099409e-11
+    p = p * y + 7.19281159484676e-11
+    p = p * y + 1.6980602229725772e-10
+    p = p * y + 6.284414052805163e-10
+    p = p * y + 2.4887163089881033e-09
+    p = p * y + 9.350113481936472e-09
+    p = p * y + 3.567485802688477e-08
+    p = p * y + 1.3969295885147904e-07
+    p = p * y + 5.612408402661366e-07
+    p = p * y + 2.325600266085683e-06
+    p = p * y + 1.0013059511943137e-05
+    p = p * y + 4.525499062401864e-05
+    p = p * y + 0.00021790407156544388
+    p = p * y + 0.0011435240757293162
+    p = p * y + 0.006791441216499997
+    p = p * y + 0.04894019870127622
+    p = p * y + 0.5002543523116934
+    return inside if q2 < _RIM else half * (half2 * half2 * half2) * p
+
+
+@inlined
+def lucy_line_slope(q2):
+    """Return the derivative of L1(q) divided by q, in the same way; its polynomial is over (1 - q^2)^(5/2)."""
+    half2 = 1.0 - q2
+    half = math.sqrt(half2)
+    log = logarithm((1.0 + half) / (math.sqrt(q2) + TINY))
+    inside = 24.0 * q2 * log - 8.0 * half * (1.0 + 2.0 * q2)
+    y = 4.0 * half2 - 1.0
+    p = -3.2193918319006287e-10
+    p = p * y - 1.0496296642764505e-09
+    p = p * y - 2.0767055321861855e-09
+    p = p * y - 7.1928086984167446e-09
+    p = p * y - 2.7463709745350404e-08
+    p = p * y - 9.486718788259395e-08
+    p = p * y - 3.2924944952225264e-07
+    p = p * y - 1.1678413373689652e-06
+    p = p * y - 4.206580685173073e-06
+    p = p * y - 1.5423480899564868e-05
+    p = p * y - 5.781726238699415e-05
+    p = p * y - 0.00022280642517882518
+    p = p * y - 0.0008894915810691085
+    p = p * y - 0.003721110992139264
+    p = p * y - 0.016609045555479623
+    p = p * y - 0.0815669978353437
+    p = p * y - 0.46762755317751037
+    p = p * y - 3.5996608635844094
+    return inside if q2 < _RIM else half * (half2 * half2) * p
 
 
 @inner
@@ -313,16 +324,14 @@ def clipped(q2, along, length):
 
 
 @inner
-def fill_lucy_lines(length, along, q2, count, out, closed):
-    """As `lucy_line` at both ends of the clipped segment, in loops that vectorise.
+def fill_lucy_lines(length, along, q2, count, out):
+    """As `lucy_line` at both ends of the clipped segment, in a loop that vectorises.
 
     The two logarithms are one: for ends at distances r0, r1 from the node and l from each other,
     asinh(t1 / h) - asinh(t0 / h) = log((r0 + r1 + l) / (r0 + r1 - l)).
     """
-    room = padded(count)
     per_length = 1.0 / length
-    ratio, bits, exponent, _ = closed
-    for k in range(room):
+    for k in range(padded(count)):
         a, b, h2 = clipped(q2[k], along[k], length)
         a2, b2 = a * a, b * b
         r0, r1 = math.sqrt(h2 + a2), math.sqrt(h2 + b2)
@@ -332,17 +341,15 @@ def fill_lucy_lines(length, along, q2, count, out, closed):
         c2 = -2.0 - 2.0 * h2
         even = b * (c0 + b2 * (c2 - 0.6 * b2)) - a * (c0 + a2 * (c2 - 0.6 * a2))
         odd = b * r1 * (2.0 * b2 + 5.0 * h2) - a * r0 * (2.0 * a2 + 5.0 * h2)
-        out[k] = per_length * (even + odd)
         both = r0 + r1
         apart = b - a
-        ratio[k] = (both + apart + TINY) / (max(0.0, both - apart) + TINY)
-        q2[k] = 3.0 * per_length * h4
-    add_logarithms(ratio, bits, exponent, q2, room, out)
+        log = logarithm((both + apart + TINY) / (max(0.0, both - apart) + TINY))
+        out[k] = per_length * (even + odd) + 3.0 * per_length * h4 * log
 
 
 @inlined
 def _plane_end(h2, t):
-    """Half chord at an end of a segment, its distance from the node, and the parts of `lucy_plane` there.
+    """Half chord at an end of a segment, its squared distance from the node, and the parts of `lucy_plane` there.
 
     These are the part without logarithm, times t, and the factor of log((1 + u) / distance).
     """
@@ -353,25 +360,20 @@ def _plane_end(h2, t):
     u = math.sqrt(u2)
     part = -0.5 + 3.0 * h2 + 1.5 * h4 + (1.5 + 1.5 * h2) * (u2 / 3.0 + t2)
     part += 0.5 * (u2 * (0.2 * u2 + 2.0 / 3.0 * t2) + t2 * t2) - 0.4 - 0.6 * r2 - 0.8 * h2
-    return u, math.sqrt(r2), t * u * part, 1.6 * t * (r2 * (0.375 * r2 + 0.5 * h2) + h4)
+    return u, r2, t * u * part, 1.6 * t * (r2 * (0.375 * r2 + 0.5 * h2) + h4)
 
 
 @inner
-def fill_lucy_planes(length, along, q2, count, out, closed):
-    """As `lucy_plane` at both ends of the clipped segment, in loops that vectorise.
+def fill_lucy_planes(length, along, q2, count, out):
+    """As `lucy_plane` at both ends of the clipped segment, in a loop that vectorises.
 
     The angles at both ends are one, of the product of the first and the mirror image of the second.
     """
-    room = padded(count)
     per_length = 1.0 / length
-    ratio, bits, exponent, rows = closed
-    first = rows[0]
-    last = rows[1]
-    ratio_last = rows[2]
-    for k in range(room):
+    for k in range(padded(count)):
         a, b, h2 = clipped(q2[k], along[k], length)
-        ua, ra, part_a, factor_a = _plane_end(h2, a)
-        ub, rb, part_b, factor_b = _plane_end(h2, b)
+        ua, ra2, part_a, factor_a = _plane_end(h2, a)
+        ub, rb2, part_b, factor_b = _plane_end(h2, b)
         h = math.sqrt(h2)
         even = 0.1 + h2 * (-0.5 + h2 * (1.5 + 0.5 * h2))
         turn = max(0.0, b * ua - a * ub)
@@ -380,11 +382,6 @@ def fill_lucy_planes(length, along, q2, count, out, closed):
             h * turn, h2 * both + a * b
         )
         out[k] = 2.0 * per_length * (total - (part_b - part_a))
-        ratio[k] = (1.0 + ua) / (ra + TINY)
-        ratio_last[k] = (1.0 + ub) / (rb + TINY)
-        first[k] = -2.0 * per_length * factor_a
-        last[k] = 2.0 * per_length * factor_b
-    add_logarithms(ratio, bits, exponent, first, room, out)
-    for k in range(room):
-        ratio[k] = ratio_last[k]
-    add_logarithms(ratio, bits, exponent, last, room, out)
+        # logarithms of squares, which take no roots of distances
+        out[k] -= per_length * factor_a * logarithm((1.0 + ua) * (1.0 + ua) / (ra2 + TINY))
+        out[k] += per_length * factor_b * logarithm((1.0 + ub) * (1.0 + ub) / (rb2 + TINY))

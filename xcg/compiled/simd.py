@@ -10,6 +10,7 @@ Compiled code checks places only where ``NUMBA_BOUNDSCHECK=1`` is set, and never
 asked for: places must lie within the array.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -269,3 +270,39 @@ def stream(array, at, values):
     has passed to them, which is a locked instruction: these wait for it.
     """
     array[at : at + len(values)] = values
+
+
+def _mantissa(typingctx, number):
+    def generate(context, builder, signature, args):
+        whole = ir.IntType(64)
+        bits = builder.bitcast(args[0], whole)
+        bits = builder.and_(bits, ir.Constant(whole, (1 << 52) - 1))
+        bits = builder.or_(bits, ir.Constant(whole, 1023 << 52))
+        return builder.bitcast(bits, ir.DoubleType())
+
+    return types.float64(types.float64), generate
+
+
+@compiled_as(_mantissa)
+def mantissa(number):
+    """Return m of a positive number m 2^n, with 1 <= m < 2."""
+    return 2.0 * math.frexp(number)[0]
+
+
+def _exponent(typingctx, number):
+    def generate(context, builder, signature, args):
+        whole = ir.IntType(64)
+        bits = builder.lshr(builder.bitcast(args[0], whole), ir.Constant(whole, 52))
+        # processors turn several integers of 32 bits at once into floats
+        exponent = builder.sub(
+            builder.trunc(bits, ir.IntType(32)), ir.Constant(ir.IntType(32), 1023)
+        )
+        return builder.sitofp(exponent, ir.DoubleType())
+
+    return types.float64(types.float64), generate
+
+
+@compiled_as(_exponent)
+def exponent(number):
+    """Return n of a positive number m 2^n, with 1 <= m < 2, as a float."""
+    return math.frexp(number)[1] - 1.0

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, jit, leaf
-from xcg.compiled.polynomials import AT_ONCE, lucy_line_value, lucy_plane_value
+from xcg.compiled.polynomials import AT_ONCE, lucy_line_slope, lucy_line_value, lucy_plane_value
 from xcg.compiled.reach import padded
 
 # codes of the kernels
@@ -81,7 +81,7 @@ def value(kind, table, q2):
 @inlined
 def _plain_value(kind, q2):
     if kind == LUCY + 1:
-        return lucy_line_value(q2, False)
+        return lucy_line_value(q2)
     if kind == LUCY + 2:
         return 2.0 * math.pi * lucy_plane_value(q2)
     if kind == HEAVISIDE:
@@ -109,7 +109,7 @@ def gradient(kind, table, q2):
 @inlined
 def _plain_gradient(kind, q2):
     if kind == LUCY + 1:
-        return lucy_line_value(q2, True)
+        return lucy_line_slope(q2)
     if kind == LUCY + 2:
         return -2.0 * math.pi * value(LUCY_FULL, PLAIN, q2)
     if kind == HEAVISIDE:
@@ -160,6 +160,9 @@ def fill_values(kind, table, norm, by_gradient, q2, count, out):
             q = math.sqrt(q2[k])
             p = 1.0 - q
             out[k] = norm * (p * p * p * (1.0 + 3.0 * q))
+    elif kind == LUCY + 1:
+        for k in range(padded(count)):
+            out[k] = norm * lucy_line_value(min(q2[k], 1.0))
     elif kind == HEAVISIDE:
         for k in range(padded(count)):
             out[k] = norm

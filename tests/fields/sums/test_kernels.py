@@ -612,9 +612,9 @@ def test_errors_are_below_rtol(length, rtol, seen, name, seed):
     quick = kernel.segment(points, 0 * end, end, order)
     largest = kernel.segment([0.5 * end], 0 * end, end)[0]
     assert np.abs(quick - exact).max() <= rtol * largest
-    assert (
-        order or length > 0.02 or (name != "lucy" and seen != 2)
-    )  # in closed form, quicker than any rule
+    # closed forms are quicker than any rule, but for Lucy's kernel itself and tables in planes
+    ruled = {"lucy": 3}.get(name, 2)
+    assert order or length > 0.02 or seen != ruled
 
 
 def test_fewer_points_for_shorter_branches_and_looser_promises():
@@ -629,7 +629,7 @@ def test_fewer_points_for_shorter_branches_and_looser_promises():
     assert tight.size == loose.size == 6
     assert gauss_limits(kernel, 3, 1e-5).size == 2
     # marginals take their time a point
-    assert gauss_limits(kernel, 2, 1e-3).size == gauss_limits(kernel, 1, 1e-3).size == 1
+    assert gauss_limits(kernel, 2, 1e-3).size == gauss_limits(kernel, 1, 1e-3).size == 0
     # registered kernels take their closed form in less than two points, but not in planes; some have none
     assert gauss_limits(kernel_of("wendland", 0.5, {}, 3), 3, 1e-5).size == 0
     assert gauss_limits(kernel_of("wendland", 0.5, {}, 3), 1, 1e-5).size == 0

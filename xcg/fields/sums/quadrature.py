@@ -32,7 +32,7 @@ def _quicker(kind: int | None, table: NDArray | None, rtol: float) -> tuple[int,
             return RULES
         # closed forms of one or two shells take less time than two points, of three less than four
         return RULES[: int(shells > 2)]
-    return RULES[:1]  # marginals take more time a point than a polynomial
+    return ()  # marginals take more time a point
 
 
 @lru_cache(maxsize=64)
