@@ -394,6 +394,10 @@ TABLE = [
         "test_norms_of_averages_of_few_grains_warn_of_their_floor",
     ),
     Mutation(
+        "fields/computed_step.py", "share = total / (total + kinetic)", "share = total / kinetic",
+        "test_a_temperature_that_holds_the_flow_along_an_averaged_axis_names_its_share",
+    ),
+    Mutation(
         "fields/formulas/doubts.py", "(reached & values.isnull())", "values.notnull()",
         "test_averaged_temperatures_of_phases_that_are_unknown_warn_of_their_share",
     ),

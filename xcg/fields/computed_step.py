@@ -22,7 +22,11 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame
 
 _CONSIDERABLE = 0.05  # share of the pressure
+_ALONG_PERIOD = (
+    0.4  # share of a temperature: waves of a homogeneous flow are fluctuations, and vary as much
+)
 
+_AVERAGED_OVER = ("granular_temperature", "directional_temperature", "mixture_temperature")
 _OF_READ_CONTACTS = ("branch_anisotropy", "tangential_force_anisotropy")
 _TURN = threading.Lock()  # so that the first step of several threads warns of all effects
 # means of squared fluctuations
@@ -76,6 +80,7 @@ class ComputedStep:
             effects |= self._fraction()
         if plan.support is not None and call.is_new("pressures"):
             effects |= self._lost_stress()
+            self._warn_of_flow_in_temperatures()
         if plan.support is not None and (plan.named or effects):
             effects |= self._floors()
         texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
@@ -207,6 +212,32 @@ class ComputedStep:
         return {
             "lost stress": f"{names} {verb} {share}, as the velocity at a node follows these grains"
         }
+
+    def _warn_of_flow_in_temperatures(self) -> None:
+        """Warn where temperatures hold the variation of the flow along an averaged axis, which no gradient sees."""
+        named = [name for name in _AVERAGED_OVER if name in self.plan.requested]
+        free = without_frozen(self.frame)
+        hidden = not self.plan.nodes.active[list(self.plan.options.plane)].all()
+        if not (self.plan.named and named and hidden and len(free["mass"])):
+            return
+        parts = pressures_of(self.plan, free, self.lattice)
+        kinetic = float(parts.kinetic.sum())
+        added = {}
+        for axis, part in parts.averaged.items():
+            size = float(part.sum())
+            least = _ALONG_PERIOD if axis in self.plan.setup.periodic else _CONSIDERABLE
+            if size > least * (size + kinetic):
+                added[axis] = size
+        if added:
+            total = sum(added.values())
+            share = total / (total + kinetic)
+            axes = " and ".join(axis for axis, size in added.items() if size > 0.3 * total)
+            warn_once(
+                "flow in temperatures",
+                f"{self.source}: {', '.join(named)}: about {100 * share:.0f} % of it is no fluctuation but the "
+                f"variation of the flow along {axes}, which fields are averaged over: resolve {axes} too (axes=), and "
+                "average after",
+            )
 
     def _warn_of_variation(self, parts: Pressures, true: float, names: str, whole: str) -> None:
         """Warn where a considerable part of the pressure is no fluctuation but the variation of the flow.

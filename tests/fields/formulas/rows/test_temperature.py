@@ -398,6 +398,26 @@ def test_the_variation_of_the_flow_within_what_a_node_sees_is_named(nodes, match
     assert float(xx.mean() / f.density.mean()) == pytest.approx(added + 0.25, rel=0.12)
 
 
+@pytest.mark.parametrize("axes", ["", "x"])
+def test_a_temperature_that_holds_the_flow_along_an_averaged_axis_names_its_share(axes):
+    """Of V_x = 2 sin(2 pi z / L) and T = 0.25, T is 0.25 + 2 / 3 where z is averaged."""
+    ds = truths.couette(1)
+    flow = np.sin(2 * np.pi * ds.position.sel(component="z", drop=True) / 12.0)
+    x = xr.DataArray([1.0, 0.0, 0.0], coords={"component": ["x", "y", "z"]}, dims="component")
+    ds = ds.assign(velocity=ds.velocity + flow * x)
+    with pytest.warns(xcg.SceneWarning, match="along z, which fields are averaged over") as told:
+        f = ds.cg.coarse_grain("granular_temperature", axes=axes)
+    (text,) = [str(one.message) for one in told if "variation of the flow" in str(one.message)]
+    named = float(re.search(r"about (\d+) % of it is", text)[1]) / 100
+    assert named == pytest.approx(1 - 0.25 / float(f.granular_temperature.mean()), rel=0.15)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", ".*variation of the flow")
+        ds.cg.coarse_grain("granular_temperature", axes="z")
+        ds.cg.coarse_grain(axes=axes)  # nobody asked for it by name
+        truths.gas(1).cg.coarse_grain("granular_temperature", axes=axes)
+        truths.gas(1, rate=2.0).cg.coarse_grain("granular_temperature", axes="")
+
+
 def test_no_variation_is_named_of_gases_sheared_boxes_and_slow_flows():
     with warnings.catch_warnings():
         warnings.filterwarnings("error", ".*variation of the flow")
