@@ -1,6 +1,7 @@
 """Radical Voronoi cells: they fill the box, and are those of half spaces."""
 
 import builtins
+import gc
 import warnings
 from itertools import product
 
@@ -175,6 +176,28 @@ def test_coinciding_centres_are_named():
     ds["position"][0, 1] = ds.position[0, 0]
     with pytest.raises(xcg.SceneError, match=r"no Voronoi cells of these particles"):
         xcg.voronoi(ds)
+
+
+def test_the_garbage_collector_waits_for_the_cells(monkeypatch):
+    """It would scan their lists while these grow; it is on again afterwards, also after an error."""
+    import pyvoro2
+
+    ds = _scene()
+    states = []
+    compute = pyvoro2.compute
+
+    def observed(*args, **options):
+        states.append(gc.isenabled())
+        return compute(*args, **options)
+
+    monkeypatch.setattr(pyvoro2, "compute", observed)
+    xcg.voronoi(ds)
+    assert gc.isenabled()
+    ds["position"][0, 1] = ds.position[0, 0]
+    with pytest.raises(xcg.SceneError):
+        xcg.voronoi(ds)
+    assert gc.isenabled()
+    assert states == [False, False]
 
 
 def test_a_tilted_box_that_is_open_is_refused():

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import gc
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -176,14 +179,15 @@ class _Cells(FrameAnalysis):
         unit = (volume / max(1, len(place))) ** (1 / 3)  # length of a mean cell
         # Voro++ expects coordinates of the order of one
         box = _domain(vectors / unit, lattice)
-        cells = _cells(place / unit, frame["diameter"] / 2 / unit, box, source)
+        with _collector_paused():
+            cells = _cells(place / unit, frame["diameter"] / 2 / unit, box, source)
+            i, j, area_vector = _faces_of(cells)
         volumes = np.array([cell["volume"] for cell in cells]) * unit**3
         if len(cells) and abs(volumes.sum() / volume - 1) > _ROUNDING:
             raise SceneError(
                 f"{source}: the cells fill {volumes.sum() / volume:.9g} of the box, as rounding "
                 "broke some; are there particles at one place, or of extremely different sizes?"
             )
-        i, j, area_vector = _faces_of(cells)
         area = np.linalg.norm(area_vector, axis=1)
         counts = (j >= 0) & (j != i) & (area > _LEAST_AREA)
         with np.errstate(divide="ignore"):
@@ -305,6 +309,18 @@ def _domain(vectors: NDArray, lattice: Lattice) -> Any:
     return pyvoro2.PeriodicCell(tuple(map(tuple, vectors.tolist())))
 
 
+@contextmanager
+def _collector_paused() -> Iterator[None]:
+    """Pause Python's garbage collector, which scans the lists of all cells again and again while they grow."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
 def _cells(place: NDArray, radius: NDArray, box: Any, source: str) -> list[dict[str, Any]]:
     """Return the cells of particles in their order, with vertices and faces."""
     import pyvoro2
@@ -331,16 +347,17 @@ def _cells(place: NDArray, radius: NDArray, box: Any, source: str) -> list[dict[
 
 def _faces_of(cells: Sequence[Mapping[str, Any]]) -> tuple[NDArray, NDArray, NDArray]:
     """Return the rows of both particles (j < 0 at edges) and area vectors (n, 3) of all faces."""
-    faces = [(i, face) for i, cell in enumerate(cells) for face in cell["faces"]]
+    faces = list(chain.from_iterable(cell["faces"] for cell in cells))
     if not faces:
         return np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3))
     of_cell = np.cumsum([0, *(len(cell["vertices"]) for cell in cells)])
-    vertices = np.concatenate([np.reshape(cell["vertices"], (-1, 3)) for cell in cells])
-    i = np.array([row for row, _ in faces])
-    j = np.array([face["adjacent_cell"] for _, face in faces])
-    size = np.array([len(face["vertices"]) for _, face in faces])
+    vertices = np.array(list(chain.from_iterable(cell["vertices"] for cell in cells)))
+    i = np.repeat(np.arange(len(cells)), [len(cell["faces"]) for cell in cells])
+    j = np.array([face["adjacent_cell"] for face in faces])
+    size = np.array([len(face["vertices"]) for face in faces])
     start = np.cumsum(size) - size
-    corner = np.concatenate([face["vertices"] for _, face in faces]) + np.repeat(of_cell[i], size)
+    corner = np.array(list(chain.from_iterable(face["vertices"] for face in faces)))
+    corner += np.repeat(of_cell[i], size)
     following = np.arange(len(corner)) + 1
     following[start + size - 1] = start
     # triangles between the first corner of a face and each of its edges; Voro++ lists corners
