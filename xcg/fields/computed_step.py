@@ -22,9 +22,8 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame
 
 _CONSIDERABLE = 0.05  # share of the pressure
-_ALONG_PERIOD = (
-    0.4  # share of a temperature: waves of a homogeneous flow are fluctuations, and vary as much
-)
+# Share of a temperature along a period: waves of a homogeneous flow are fluctuations, and vary by half of it.
+_ALONG_PERIOD = 0.6
 
 _AVERAGED_OVER = ("granular_temperature", "directional_temperature", "mixture_temperature")
 _OF_READ_CONTACTS = ("branch_anisotropy", "tangential_force_anisotropy")
