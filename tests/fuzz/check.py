@@ -74,7 +74,8 @@ def is_own(error: Exception) -> bool:
 # modules that check arguments
 _CHECKS = (
     "checks", "grid", "layout", "plan", "coarse_grain", "kernels", "find_contacts", "pairs",
-    "without_kernel", "phases", "config", "pysammos", "registry", "build", "description", "complete",
+    "slice_temperature", "phases", "config", "toml_config", "pysammos_config", "pysammos", "registry",
+    "build", "scene", "sizes", "complete",
 )  # fmt: skip
 
 

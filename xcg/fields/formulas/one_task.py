@@ -65,9 +65,11 @@ def _called(
 
 
 def _unknown(f: xr.Dataset) -> xr.Dataset:
-    """Return a result in memory: NaN, 0 or False in place of what is lazy."""
+    """Return a result in memory: NaN, 0 or False in place of lazy numbers; texts are read, such as `setup`."""
     variables = {}
     for name, variable in f.variables.items():
+        if variable.dtype.kind not in "fiub":
+            variable = variable.compute()
         if variable.chunks is not None:
             fill = np.nan if variable.dtype.kind == "f" else np.zeros((), variable.dtype)
             variable = variable.copy(data=np.full(variable.shape, fill, variable.dtype))
