@@ -171,7 +171,7 @@ class Pictures:
         self.views["profile"] = [(a,) for a in reversed(self.plane)]
 
     def _pairs(self) -> list[tuple[str, ...]]:
-        """Return the axes of maps: first those of the first and the last axis."""
+        """Return the axes of maps: the first and the last axis come first."""
         pairs: list[tuple[str, ...]] = list(combinations(self.plane, 2))
         return sorted(pairs, key=lambda pair: pair != (self.plane[0], self.plane[-1]))
 

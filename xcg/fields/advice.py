@@ -53,7 +53,7 @@ def advise_on_steps(scene: Scene, plan: Plan, *, named: bool) -> None:
 
 
 def _warn(advice: Iterable[Callable[[Scene, Plan], Warnings]], scene: Scene, plan: Plan) -> None:
-    """Give each piece of advice, once a call for what it is about."""
+    """Warn by each piece of advice, once a call for what it is about."""
     for warnings_of in advice:
         for about, text in warnings_of(scene, plan):
             warn_once(about, text)

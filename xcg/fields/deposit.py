@@ -46,7 +46,7 @@ class Sums:
     Attributes
     ----------
     table : dict
-        Where each moment is: which array of those that `over` returns, its columns, and a factor
+        Where each moment is: which of the arrays of `over`, its columns, and a factor
         for each group.
     """
 

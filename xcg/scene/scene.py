@@ -63,12 +63,12 @@ class Scene:
 
     @property
     def tilted(self) -> bool:
-        """Whether the edges of the box are not along x, y and z."""
+        """Return True if the edges of the box are not along x, y and z."""
         return "lattice" in self.ds
 
     @property
     def cylindrical(self) -> bool:
-        """Whether axes x, y, z belong to a cylindrical frame."""
+        """Return True if axes x, y, z belong to a cylindrical frame."""
         return self.ds.attrs.get("frame") == "cylindrical"
 
     # --- sizes and extent of the particles ---------------------------------------------------------
@@ -94,7 +94,7 @@ class Scene:
 
     @property
     def position_known(self) -> bool:
-        """Whether `position` is in memory, or unchanged since it was measured."""
+        """Return True if `position` is in memory, or unchanged since it was measured."""
         return "position" in self.ds and known_without_reading(self.ds, "position")
 
     @property
@@ -145,7 +145,7 @@ class Scene:
 
     @cached_property
     def _lasting(self) -> tuple[bool, tuple[float, float, float]]:
-        """Whether the box is the same in all steps, and the period along each axis, infinite unless that is.
+        """Return whether the box is the same in all steps, and the period along each axis, infinite unless that is.
 
         A lazy box is not read, as attributes hold a box that lasts.
         """
@@ -173,7 +173,7 @@ class Scene:
 
     @property
     def box_lasts(self) -> bool:
-        """Whether the box is the same in all steps."""
+        """Return True if the box is the same in all steps."""
         return self._lasting[0]
 
     @property

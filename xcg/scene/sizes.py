@@ -184,7 +184,7 @@ def without_measures(ds: xr.Dataset) -> xr.Dataset:
 
 
 def _first_and_last(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
-    """Return those of the variables that are in memory, of the particles of the first and of the last step."""
+    """Return the variables in memory, of the particles of the first and of the last step."""
     arrays = {}
     for name in names:
         values = ds.variables.get(name)

@@ -1,4 +1,4 @@
-"""Steps of one record: requests and steps are compared with those that are in its file."""
+"""Steps of one record: requests and steps are compared with the ones in its file."""
 
 from __future__ import annotations
 

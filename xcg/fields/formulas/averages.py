@@ -232,7 +232,7 @@ def _beside(
     samples: xr.Dataset,
     unchecked: Sequence[str],
 ) -> dict[str, xr.Variable]:
-    """Return the errors and biases of the fields of an average; those that are checked warn."""
+    """Return the errors and biases of the fields of an average; errors that are checked warn."""
     count = samples.sizes[_SAMPLE]
     options = registry.options_of(f.attrs)
     rows = _rows_of(f)

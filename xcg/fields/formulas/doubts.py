@@ -165,7 +165,7 @@ def _by_elements(function: Callable, *arrays: object) -> xr.DataArray:
 def with_unknown_temperatures(mean: xr.Dataset, options: Options, purpose: str) -> xr.Dataset:
     """Return an average whose temperatures warn where they are NaN at many nodes of a phase; lazy ones when computed.
 
-    Those that are left are then too large on average, as negative ones are NaN.
+    Values elsewhere are then too large on average, as negative ones are NaN.
     """
     if options.temperature != "mixture" or "density" not in mean:
         return mean
@@ -281,7 +281,7 @@ def with_floors(mean: xr.Dataset, options: Options, purpose: str, places: float)
 def warn_of_floors(mean: xr.Dataset, options: Options, purpose: str) -> None:
     """Warn of the floors of an average that are considerable, of fields that were asked for by name.
 
-    Those of one step fall with the root of the number of steps and runs that are averaged.
+    Floors of one step fall with the root of the number of steps and runs that are averaged.
     """
     if "fields=" not in mean.attrs.get("history", ""):
         return

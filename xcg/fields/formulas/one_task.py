@@ -29,8 +29,8 @@ def in_one_task(
 ) -> xr.Dataset:
     """Return ``function(f, **arguments)`` lazily, as one task that takes all of a result.
 
-    The names, dimensions and attributes that come out, and errors of the arguments, are those of a
-    result of one node that is unknown. Dimensions of nodes must come out as they are.
+    Names, dimensions, attributes and errors of the arguments come from a result of one unknown node.
+    Dimensions of nodes must come out as they are.
     """
     nodes = [str(dim) for dim in f.dims if dim not in (*NOT_NODES, *_AVERAGED)]
     kwargs: dict[str, Any] = {
@@ -59,7 +59,7 @@ def in_one_task(
 def _called(
     f: xr.Dataset, *, function: Callable[..., xr.Dataset], call: Once, arguments: dict[str, Any]
 ) -> xr.Dataset:
-    """Call a function, whose warnings are those of the call that laid the task."""
+    """Call a function, which warns for the call that laid the task."""
     with call.active():
         return function(f, **arguments)
 

@@ -166,7 +166,7 @@ class Nodes:
 
     @property
     def text(self) -> dict[str, str]:
-        """Where the nodes are, in words."""
+        """Places of the nodes, in words."""
         nodes = " x ".join(f"{size} {dim}" for dim, size in zip(self.dims, self.sizes, strict=True))
         parts = self.parts or ()
         places = sum(part.count for part in parts)
