@@ -383,7 +383,7 @@ TABLE = [
     ),
     Mutation(
         "fields/pressures.py", "length.std() / length.mean()", "length.std()",
-        "test_floors_of_relaxed_packings test_the_floors_of_branches_and_tangential_forces_follow_from_the_contacts_of_the_step",
+        "test_the_floors_of_branches_and_tangential_forces_follow_from_the_contacts_of_the_step",
     ),
     Mutation(
         "fields/formulas/doubts.py", "[FLOOR] / math.sqrt(places)", "[FLOOR] / places",
