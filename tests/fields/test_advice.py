@@ -107,8 +107,9 @@ def test_the_floors_of_branches_and_tangential_forces_follow_from_the_contacts_o
     (text,) = said(ds, names)
     said_of_branches = r"step branch_anisotropy is about 0\.\d+ where the true value is 0"
     floor = re.search(said_of_branches, text)[0]
-    lengths = [name for name in ds.data_vars if ds[name].attrs.get("units") == "m"]
+    lengths = ("position", "diameter", "contact_point", "box")
     small = ds.assign({name: 1e-3 * ds[name] for name in lengths})
+    small = small.assign({name: 1e-9 * ds[name] for name in ("volume", "mass")})
     measures = [name for name in ds.attrs if re.match("box_|particle_|d[^i]", name)]
     (text,) = said(small.assign_attrs({name: 1e-3 * ds.attrs[name] for name in measures}), names)
     assert floor in text
