@@ -201,6 +201,15 @@ def test_legacy_text_of_other_writers_is_read(tmp_path, text, ending):
     assert_grains(ds)
 
 
+@pytest.mark.parametrize("size", [1, 20, 64, 200])
+@pytest.mark.parametrize("text", [OF_YADE, OF_PIZZA, OF_PHASICFLOW])
+def test_sections_are_found_wherever_blocks_of_numbers_end(tmp_path, text, size, monkeypatch):
+    monkeypatch.setattr("xcg.readers.files.legacy_vtk._BLOCK", size)
+    path = tmp_path / "grains_3.vtk"
+    path.write_text(text)
+    assert_grains(xcg.open_scene(path, density=2.0).load())
+
+
 def test_gzipped_legacy_files_are_read(tmp_path):
     import gzip
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections import deque
 from dataclasses import dataclass, field, replace
+from io import BytesIO
 from typing import BinaryIO
 from urllib.parse import unquote
 
@@ -34,6 +36,8 @@ from xcg.readers.files.vtkheader import (
 MAGIC = b"# vtk DataFile"
 _ENCODING = VtkEncoding(">", np.dtype(">u4"), "")
 _LONGEST_LINE = 1 << 20  # bytes that are read at once
+_BLOCK = 1 << 20  # bytes of numbers that are skipped at once
+_OF_NUMBERS = b"0123456789+-.eE \t\r\n"
 _MOST_DIGITS = 15  # of counts
 _READ = ("POLYDATA", "UNSTRUCTURED_GRID")
 _POINTS = "POINT_DATA"
@@ -310,7 +314,7 @@ class _Scanner:
         self._path = path
         self._most = most_text(path)
         self._at = 0
-        self._waiting = b""
+        self._waiting: deque[bytes] = deque()
         first = self._line()
         self._line()  # the title
         form = self._line().strip().upper()
@@ -329,12 +333,18 @@ class _Scanner:
         )
 
     def _line(self) -> bytes:
-        line = self._waiting or self._file.readline(_LONGEST_LINE)
-        self._waiting = b""
-        self._at += len(line)
+        if self._waiting:
+            line = self._waiting.popleft()
+        else:
+            line = self._file.readline(_LONGEST_LINE)
+        self._advance(len(line))
+        return line
+
+    def _advance(self, size: int) -> None:
+        """Count bytes that were read; raise SceneError beyond what compressed bytes may stand for."""
+        self._at += size
         if self._at > self._most:
             raise self.damaged(f"its compressed bytes stand for more than {self._most:.3g}")
-        return line
 
     def words(self) -> list[str]:
         """Return the words of the next line that has some; none at the end of the file."""
@@ -406,15 +416,30 @@ class _Scanner:
         self._at += size
 
     def _skip_text(self) -> None:
-        """Skip lines of numbers."""
+        """Skip lines of numbers: first blocks of lines without any letter, then line by line."""
+        self._skip_blocks()
         while line := self._line():
             text = line.strip()
             if text[:1].isalpha() or text[-1:].isalpha():
                 words = text.decode("utf-8", "replace").split()
                 if words[0].upper() in _KEYWORDS or _is_array_of_field(words):
                     self._at -= len(line)
-                    self._waiting = line
+                    self._waiting.appendleft(line)
                     return
+            elif not self._waiting:
+                self._skip_blocks()
+
+    def _skip_blocks(self) -> None:
+        """Skip blocks of lines that hold digits alone; the lines of the next block wait."""
+        while not self._waiting:
+            block = self._file.read(_BLOCK)
+            block += self._file.readline(_LONGEST_LINE)
+            if not block:
+                return
+            if block.translate(None, _OF_NUMBERS):
+                self._waiting.extend(BytesIO(block).readlines())
+            else:
+                self._advance(len(block))
 
     def _skip_strings(self, name: str, count: int) -> None:
         """Skip strings, one a line."""
