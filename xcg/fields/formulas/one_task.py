@@ -14,7 +14,6 @@ from xcg.fields.formulas.doubts import NOT_NODES, SHARES
 # Larger results are averaged variable by variable, so that those which are not asked for are never
 # in memory.
 _MOST = 2**27  # bytes
-_AVERAGED = ("time",)
 
 
 def is_small(f: xr.Dataset) -> bool:
@@ -32,7 +31,7 @@ def in_one_task(
     Names, dimensions, attributes and errors of the arguments come from a result of one unknown node.
     Dimensions of nodes must come out as they are.
     """
-    nodes = [str(dim) for dim in f.dims if dim not in (*NOT_NODES, *_AVERAGED)]
+    nodes = [str(dim) for dim in f.dims if dim not in ("time", *NOT_NODES)]
     kwargs: dict[str, Any] = {
         "function": function,
         "call": active_call(),

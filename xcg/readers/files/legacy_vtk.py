@@ -416,7 +416,7 @@ class _Scanner:
         self._at += size
 
     def _skip_text(self) -> None:
-        """Skip lines of numbers: first blocks of lines without any letter, then line by line."""
+        """Skip lines of numbers: blocks of lines without any letter at once, others line by line."""
         self._skip_blocks()
         while line := self._line():
             text = line.strip()
@@ -426,11 +426,10 @@ class _Scanner:
                     self._at -= len(line)
                     self._waiting.appendleft(line)
                     return
-            elif not self._waiting:
-                self._skip_blocks()
+            self._skip_blocks()
 
     def _skip_blocks(self) -> None:
-        """Skip blocks of lines that hold digits alone; the lines of the next block wait."""
+        """Skip blocks of lines that hold numbers alone, unless lines wait; the lines of the next block then wait."""
         while not self._waiting:
             block = self._file.read(_BLOCK)
             block += self._file.readline(_LONGEST_LINE)
