@@ -16,7 +16,7 @@ from xcg.fields.formulas.doubts import UNKNOWN
 from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR
 from xcg.fields.plan import Plan
 from xcg.fields.pressures import Pressures, pressures_of, spread_of_contacts
-from xcg.fields.support import floor_text, floors_of
+from xcg.fields.support import floors_of
 from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame
@@ -101,9 +101,9 @@ class ComputedStep:
             branches, forces = spread_of_contacts(self.frame, self.lattice)
             support = replace(support, branch_spread=branches, tangential=forces)
         texts = [
-            f"{name} is about {floor_text(self.plan, name, floor)}"
-            for name, (floor, usual) in floors_of(self.plan, support).items()
-            if floor > CONSIDERABLE_FLOOR * usual
+            f"{name} is about {row.floor_text(floor)}"
+            for name, (floor, row) in floors_of(self.plan, support).items()
+            if floor > CONSIDERABLE_FLOOR * row.usual
         ]
         if not texts:
             return {}

@@ -8,7 +8,7 @@ import numpy as np
 
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import second_moment, squared_integral
-from xcg.fields.formulas.field import Support
+from xcg.fields.formulas.field import Field, Support
 from xcg.fields.plan import Plan
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.scene import Scene
@@ -22,9 +22,7 @@ def text_of_floors(scene: Scene, plan: Plan) -> str | None:
     floors = floors_of(plan, support)
     if not floors:
         return None
-    values = ", ".join(
-        f"{name} {floor_text(plan, name, floor)}" for name, (floor, _) in floors.items()
-    )
+    values = ", ".join(f"{name} {row.floor_text(floor)}" for name, (floor, row) in floors.items())
     return f"{values} in one step where the true value is 0, from {support.text()} at a node"
 
 
@@ -36,19 +34,14 @@ def numbers_of_floors(plan: Plan) -> dict[str, float]:
     return {name: float(f"{floor:.2g}") for name, (floor, _) in floors.items()}
 
 
-def floor_text(plan: Plan, name: str, floor: float) -> str:
-    """Return a floor with its unit."""
-    return f"{floor:.2g} {registry.row(name, plan.options).floor_units}".rstrip()
-
-
-def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, float]]:
-    """Return floor and usual value of each requested field whose floor is known."""
+def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, Field]]:
+    """Return floor and row of each requested field whose floor is known."""
     floors = {}
     for name in plan.requested:
         row = registry.row(name, plan.options)
         floor = row.floor(support) if row.floor is not None else math.nan
         if math.isfinite(floor):
-            floors[name] = floor, row.usual
+            floors[name] = floor, row
     return floors
 
 

@@ -293,7 +293,7 @@ def warn_of_floors(mean: xr.Dataset, options: Options, purpose: str) -> None:
         row = registry.row(name, options)
         floor = mean[name].attrs[FLOOR] / math.sqrt(number)
         if floor > CONSIDERABLE_FLOOR * row.usual:
-            texts.append(f"{name} is about {floor:.2g} {row.floor_units}".rstrip())
+            texts.append(f"{name} is about {row.floor_text(floor)}")
     if texts:
         warn_once(
             f"floors of {purpose}",

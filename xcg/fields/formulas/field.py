@@ -230,6 +230,10 @@ class Field:
     across_phases: bool = False
     source: str = ""
 
+    def floor_text(self, floor: float) -> str:
+        """Return a floor with its unit."""
+        return f"{floor:.2g} {self.floor_units}".rstrip()
+
     @property
     def text_of_averages(self) -> str:
         """Return how it is averaged, where the mean of its values is something else; "" for sums."""
