@@ -1,6 +1,8 @@
 """Warnings point at the line of the caller, and come once a call."""
 
+import gc
 import pickle
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import dask
@@ -112,6 +114,20 @@ def test_the_memory_of_warnings_is_bounded(monkeypatch):
             once.warn(f"fact {k}", f"number {k}")
     once.warn("fact 4", "the latest ones are remembered")  # a warning would be an error
     assert len(Once._said) == 3
+
+
+def test_a_warning_does_not_keep_the_arrays_of_its_callers():
+    def warn_beside_an_array():
+        values = np.zeros(10)
+        with pytest.warns(xcg.SceneWarning):
+            warn_user("a few grains")
+        return weakref.ref(values)
+
+    gc.disable()
+    try:
+        assert warn_beside_an_array()() is None
+    finally:
+        gc.enable()
 
 
 def test_warnings_from_a_user_thread_point_at_its_line():

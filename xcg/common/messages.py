@@ -167,13 +167,19 @@ def warn_user(message: str | Warning) -> None:
     if current_worker() is not None:
         sys.modules["distributed"].worker.warn(message, SceneWarning)
         return
-    main = sys._current_frames().get(threading.main_thread().ident or 0)
-    frame = _of_user(sys._getframe(1)) or _of_user(main) or sys._getframe(1)
+    # No local variable holds the frame of this function: that would keep it, and with it the
+    # results of all its callers, until the garbage collector runs.
+    frame = _of_user(sys._getframe(1)) or _of_user(_main_frame()) or sys._getframe(1)
     name = frame.f_globals.get("__name__", "<unknown>")
     registry = frame.f_globals.setdefault("__warningregistry__", {})
     warnings.warn_explicit(
         message, SceneWarning, frame.f_code.co_filename, frame.f_lineno, name, registry
     )
+
+
+def _main_frame() -> FrameType | None:
+    """Return the frame in which the main thread is."""
+    return sys._current_frames().get(threading.main_thread().ident or 0)
 
 
 def _of_user(frame: FrameType | None) -> FrameType | None:
