@@ -10,7 +10,7 @@ where frames are made (`xcg.scene.frame.frame_of`).
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
@@ -27,6 +27,7 @@ from xcg.scene.schema import (
     COMPONENTS,
     MEASURED,
     PADDING,
+    SCHEMA,
     VARIABLES,
     Variable,
     known_without_reading,
@@ -58,7 +59,16 @@ def takes_scene(
 
     @wraps(task)
     def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
-        _check_arguments(task.__name__, signature, ds, args, options)
+        name = task.__name__
+        if not isinstance(ds, xr.Dataset):
+            raise TypeError(
+                f"{name}: expected a scene, an xarray.Dataset, not {type(ds).__name__}; files are opened by "
+                "xcg.open_scene, arrays by xcg.scene_from_arrays"
+            )
+        try:
+            signature.bind(ds, *args, **options)
+        except TypeError as error:
+            raise _argument_error(name, signature, options, error) from None
         scene = conform(ds)
         with active_call().active():
             result = task(Scene(scene), *args, **options)
@@ -73,30 +83,16 @@ def takes_scene(
     return call
 
 
-def _check_arguments(
-    name: str,
-    signature: inspect.Signature,
-    ds: object,
-    args: Sequence[Any],
-    options: Mapping[str, Any],
-) -> None:
-    """Raise TypeError unless these are the arguments of a function of a scene."""
-    if not isinstance(ds, xr.Dataset):
-        raise TypeError(
-            f"{name}: expected a scene, an xarray.Dataset, not {type(ds).__name__}; files are opened by "
-            "xcg.open_scene, arrays by xcg.scene_from_arrays"
-        )
+def _argument_error(
+    name: str, signature: inspect.Signature, words: Iterable[str], error: TypeError
+) -> TypeError:
+    """Return the error of a call whose arguments do not fit; `words` are its keywords."""
     known = signature.parameters
-    open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in known.values())
-    for word in options:
-        if word not in known and not open_ended:
-            raise TypeError(
-                f"{name}() got an unexpected keyword argument {word!r}{_likely_argument(word, known)}"
-            )
-    try:
-        signature.bind(ds, *args, **options)
-    except TypeError as error:
-        raise TypeError(f"{name}(): {error}") from None
+    for word in words:
+        if word not in known:
+            hint = _likely_argument(word, known)
+            return TypeError(f"{name}() got an unexpected keyword argument {word!r}{hint}")
+    return TypeError(f"{name}(): {error}")
 
 
 # Arguments by the words that others use for them.
@@ -193,17 +189,44 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
         return ds
     ds = with_facts(ds)
     require_facts(ds, ("periodic", "dimension"), "the scene", _OF_ATTRIBUTES)
+    if _is_conform(ds):
+        return ds
     _require_one_time(ds)
+    return _with_values(_with_dimensions(ds))
+
+
+def _is_conform(ds: xr.Dataset) -> bool:
+    """Return whether all variables are as xcg makes them: nothing was selected or added."""
+    for name, values in ds.variables.items():
+        row = SCHEMA.get(str(name))
+        has_empty_chunks = 0 in values.chunksizes.get("time", ())
+        if has_empty_chunks or (row is None) != (name in ds.coords):
+            return False
+        if row is not None:
+            of_floats = row.dtype == "int64" and values.dtype.kind == "f"
+            if of_floats or values.dims != ("time", *row.dims):
+                return False
+    return labels_along(ds, "component") == list(COMPONENTS)
+
+
+def _with_dimensions(ds: xr.Dataset) -> xr.Dataset:
+    """Restore the dimensions of a scene, its variables among coordinates, and the order of components."""
     scene = ds
     if renamed := _renamed(ds):
         scene = ds.swap_dims(renamed)
-    scene = _without_empty_chunks(scene)
-    if kept := [name for name in scene.coords if name in VARIABLES or name in BOX]:
+    for name, values in scene.variables.items():
+        merged = without_empty_chunks(values)
+        if merged is not values:
+            scene = scene.assign({name: merged})
+    if kept := [name for name in scene.coords if name in SCHEMA]:
         scene = scene.reset_coords(kept)
     for dim in _taken_away(scene):
         scene = _with_dim(scene, dim)
-    if labels_along(scene, "component") != list(COMPONENTS):
-        scene = with_components(scene)
+    return with_components(scene)
+
+
+def _with_values(scene: xr.Dataset) -> xr.Dataset:
+    """Restore the rows and the types of variables that were masked, spread over others, or joined."""
     masked = scene.variables["particle_id"].dtype.kind == "f"
     changed = {}
     for name in map(str, scene.data_vars):
@@ -213,7 +236,7 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
             f"{name}_values" in scene.attrs or (row and row.dtype == "int64")
         )
         if not (masked or floats) and (row is None or values.dims == ("time", *row.dims)):
-            continue  # as nearly always
+            continue
         array = scene[name]
         if row is not None:
             array = _with_dims(array, row)
@@ -236,15 +259,6 @@ def _renamed(ds: xr.Dataset) -> dict[str, str]:
     return {
         label: dim for label, dim in labels.items() if label in ds.sizes and dim not in ds.sizes
     }
-
-
-def _without_empty_chunks(scene: xr.Dataset) -> xr.Dataset:
-    """Return a scene whose chunks of time all have steps."""
-    for name, values in scene.variables.items():
-        merged = without_empty_chunks(values)
-        if merged is not values:
-            scene = scene.assign({name: merged})
-    return scene
 
 
 def without_empty_chunks(values: xr.Variable) -> xr.Variable:

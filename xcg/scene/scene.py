@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError, plain
@@ -29,6 +30,15 @@ class Scene:
         Further variables by name, which tasks make themselves.
     lag : int, optional
         Frames to the later one, in a scene of displacements.
+
+    Attributes
+    ----------
+    columns : dict of xarray.Variable
+        Variables by name, those of `made` among them.
+    tilted : bool
+        Whether the edges of the box are not along x, y and z.
+    cylindrical : bool
+        Whether axes x, y, z belong to a cylindrical frame.
     """
 
     def __init__(
@@ -40,36 +50,20 @@ class Scene:
     ) -> None:
         self.ds = ds
         self.lag = lag
+        self.tilted = "lattice" in ds
+        self.cylindrical = ds.attrs.get("frame") == "cylindrical"
         self.columns = {str(name): ds.variables[name] for name in ds.data_vars} | {**(made or {})}
 
     @cached_property
     def setup(self) -> Setup:
         """Periodic axes, gravity, dimension, plane, thickness and unit system."""
-        attrs = self.ds.attrs
-        return Setup.make(
-            periodic=attrs.get("periodic", ""),
-            gravity=attrs.get("gravity"),
-            dimension=int(attrs.get("dimension", 3)),
-            plane=attrs.get("plane"),
-            thickness=attrs.get("thickness"),
-            units=attrs.get("unit_system"),
-        )
+        return Setup.of(self.ds.attrs)
 
     @property
     def rows(self) -> list[str]:
         """Names of the variables of particles and contacts."""
         of_rows = {"particle", "contact"}
         return [name for name, column in self.columns.items() if of_rows & {*column.dims}]
-
-    @property
-    def tilted(self) -> bool:
-        """Return True if the edges of the box are not along x, y and z."""
-        return "lattice" in self.ds
-
-    @property
-    def cylindrical(self) -> bool:
-        """Return True if axes x, y, z belong to a cylindrical frame."""
-        return self.ds.attrs.get("frame") == "cylindrical"
 
     # --- sizes and extent of the particles ---------------------------------------------------------
 
@@ -144,42 +138,45 @@ class Scene:
         return {a: edges[a][1] - edges[a][0] for a in self.setup.periodic if a in edges}
 
     @cached_property
-    def _lasting(self) -> tuple[bool, tuple[float, float, float]]:
-        """Return whether the box is the same in all steps, and the period along each axis, infinite unless that is.
+    def _lasting(self) -> NDArray:
+        """Whether the box is the same in all steps, along each axis (3,).
 
         A lazy box is not read, as attributes hold a box that lasts.
         """
-        ds = self.ds
-        if "box" in ds and ds.variables["box"].chunks is None:
-            box = {
-                n: ds.variables[n].transpose("time", *row.dims).to_numpy()
-                for n, row in BOX.items()
-                if n in ds
-            }
-            same = np.all([(steps == steps[:1]).all(axis=(0, 2)) for steps in box.values()], axis=0)
-            if self.tilted:
-                x, y, z = np.full(3, np.inf)
-                if same.all() and self.setup.periodic:
-                    first = {name: steps[0] for name, steps in box.items()}
-                    x, y, z = Lattice.of(first, self.setup.periodic).axis_periods.tolist()
-                return bool(same.all()), (x, y, z)
-        else:
-            same = np.full(3, "box_lower" in ds.attrs and not self.tilted)
-        periods = dict.fromkeys(COMPONENTS, np.inf)
-        for a, lasts in zip(COMPONENTS, same, strict=True):
-            if lasts and a in self.periods:
-                periods[a] = self.periods[a]
-        return bool(same.all()), (periods["x"], periods["y"], periods["z"])
+        box = [(self.ds.variables[n], row) for n, row in BOX.items() if n in self.ds]
+        if not box or box[0][0].chunks is not None:
+            return np.full(3, "box_lower" in self.ds.attrs and not self.tilted)
+        lasting = np.full(3, True)
+        for values, row in box:
+            steps = values.transpose("time", *row.dims).to_numpy()
+            lasting &= (steps == steps[:1]).all(axis=(0, 2))
+        return lasting
 
     @property
     def box_lasts(self) -> bool:
         """Return True if the box is the same in all steps."""
-        return self._lasting[0]
+        return bool(self._lasting.all())
 
     @property
     def lasting_periods(self) -> tuple[float, float, float]:
         """Period along x, y, z (m); infinite unless it is the same in all steps."""
-        return self._lasting[1]
+        if self.tilted:
+            return self._periods_of_lattice()
+        x, y, z = (
+            self.periods.get(a, np.inf) if lasts else np.inf
+            for a, lasts in zip(COMPONENTS, self._lasting, strict=True)
+        )
+        return x, y, z
+
+    def _periods_of_lattice(self) -> tuple[float, float, float]:
+        """Return `lasting_periods` of a tilted box."""
+        x, y, z = np.full(3, np.inf)
+        if self.box_lasts and self.setup.periodic:
+            first = {
+                n: self.ds[n].transpose("time", ...).to_numpy()[0] for n in BOX if n in self.ds
+            }
+            x, y, z = Lattice.of(first, self.setup.periodic).axis_periods.tolist()
+        return x, y, z
 
     @property
     def layer_depth(self) -> float | str | None:

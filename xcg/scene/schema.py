@@ -23,6 +23,7 @@ from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError
 
 COMPONENTS = ("x", "y", "z")
+_ORDERED = ("", "x", "y", "z", "xy", "xz", "yz", "xyz")  # axes as attributes hold them
 PADDING = -1
 MAX_GROUPS = 100
 # m; powers of lengths between these are numbers, too
@@ -148,6 +149,7 @@ BOX: dict[str, Variable] = {
         ("vector", "component"), "m s^-1", "rate at which the lattice vectors change"
     ),
 }
+SCHEMA = VARIABLES | BOX
 # the long name of times that are numbers of steps
 NUMBERED = "number of the time step, as the times are not known"
 OF_STEP = (*BOX, "step")  # what tasks take of a step besides its rows
@@ -336,6 +338,18 @@ def _scales_of(units: Mapping[str, float] | str | None) -> tuple[tuple[float, fl
     return (units.get("length", 1.0), units.get("mass", 1.0), units.get("time", 1.0)), "SI"
 
 
+def _gravity_of(values: Sequence[float] | None) -> tuple[float, float, float] | None:
+    """Return gravity as three numbers; None where it is not known."""
+    if values is None:
+        return None
+    if is_finite(values):
+        raise SceneError(
+            f"gravity={values!r}: expected three numbers (x, y, z), such as (0.0, 0.0, -9.81)"
+        )
+    x, y, z = vector("gravity", values, error=SceneError).tolist()
+    return x, y, z
+
+
 @dataclass(frozen=True)
 class Setup:
     """Properties of the whole scene that are not in its rows.
@@ -380,6 +394,18 @@ class Setup:
     unit_system: str = "SI"
     sides: Sides = "mean"
 
+    def __post_init__(self) -> None:
+        plane = self.plane
+        if self.dimension not in (2, 3) or len(plane) != self.dimension or {*plane} - {*COMPONENTS}:
+            raise SceneError(
+                f"dimension={self.dimension!r} with plane={plane!r}: expected dimension=3, "
+                "or dimension=2 with the two axes of the plane, for example plane='xy'"
+            )
+        for name in ("density", "diameter", "mass", "thickness"):
+            value = getattr(self, name)
+            if value is not None and not is_positive(value):
+                raise SceneError(f"{name}={value!r}: expected a positive number")
+
     @classmethod
     def make(
         cls,
@@ -395,42 +421,43 @@ class Setup:
         `units` are a mapping, "reduced", the name of a unit system of LAMMPS, or None for SI.
         """
         scales, unit_system = _scales_of(units)
-        if gravity is not None:
-            if is_finite(gravity):
-                raise SceneError(
-                    f"gravity={gravity!r}: expected three numbers (x, y, z), such as (0.0, 0.0, -9.81)"
-                )
-            x, y, z = vector("gravity", gravity, error=SceneError).tolist()
-            gravity = (x, y, z)
         if not plane:
             plane = "xyz" if dimension == 3 else "xy"
         options["periodic"] = periodic_axes(options.get("periodic"), plane)
         made = cls(
-            gravity=gravity,
+            gravity=_gravity_of(gravity),
             dimension=dimension,
             plane=plane,
             scales=scales,
             unit_system=unit_system,
             **options,
         )
-        if dimension not in (2, 3) or len(plane) != dimension or set(plane) - set(COMPONENTS):
-            raise SceneError(
-                f"dimension={dimension!r} with plane={plane!r}: expected dimension=3, "
-                "or dimension=2 with the two axes of the plane, for example plane='xy'"
-            )
         for name, choices in (("shape", Shape), ("sides", Sides)):
             if getattr(made, name) not in get_args(choices):
                 expected = ", ".join(map(repr, get_args(choices)))
                 raise SceneError(f"{name}={getattr(made, name)!r}: expected one of {expected}")
-        for name in ("density", "diameter", "mass", "thickness"):
-            value = getattr(made, name)
-            if value is not None and not is_positive(value):
-                raise SceneError(f"{name}={value!r}: expected a positive number")
         if made.shape == "disc" and made.thickness is None:
             raise SceneError(
                 "discs need thickness=: their volume is pi d^2/4 times the thickness of the layer"
             )
         return made
+
+    @classmethod
+    def of(cls, attrs: Mapping[Any, Any]) -> Setup:
+        """Return the properties that the attributes of a scene hold."""
+        dimension = int(attrs.get("dimension", 3))
+        plane = attrs.get("plane") or "xyz"[:dimension]
+        periodic = attrs.get("periodic", "")
+        if str(periodic) not in _ORDERED:  # written by users
+            periodic = periodic_axes(periodic, plane)
+        return cls(
+            periodic=periodic,
+            gravity=_gravity_of(attrs.get("gravity")),
+            dimension=dimension,
+            plane=plane,
+            thickness=attrs.get("thickness"),
+            unit_system=attrs.get("unit_system", "SI"),
+        )
 
     @property
     def axes(self) -> list[int]:
