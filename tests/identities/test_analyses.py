@@ -29,13 +29,13 @@ def test_all_analyses_are_called():
     called = {name.split()[0].strip(",") for name in CALLS}
     assert methods("scene") - called == set(OTHERS)
     ran = set()
-    task = analysis._Task
+    map_over_time = analysis.map_over_time
 
-    def recorded(of, *args):
-        ran.add(type(of))
-        return task(of, *args)
+    def recorded(ds, names, task, *args):
+        ran.add(type(task.analysis))
+        return map_over_time(ds, names, task, *args)
 
-    with mock.patch.object(analysis, "_Task", recorded):
+    with mock.patch.object(analysis, "map_over_time", recorded):
         for name, call in CALLS.items():
             call(series(name).isel(time=slice(2)).chunk(time=1))
     names = {cls.__name__ for cls in classes()}

@@ -208,22 +208,24 @@ def run(
     scene.require(required, name)
     rows = analysis.rows(scene)
     coords = analysis.coords(scene)
-    sizes = _lengths(analysis, scene, coords)
+    lengths = _lengths(analysis, scene, coords)
+    shapes = {name: tuple(lengths[dim] for dim in row.dims) for name, row in rows.items()}
     read = _names(ds, [*required, *(n for n in analysis.optional if n in ds)])
-    task = _Task(
+    arguments = (
         replace(analysis, threads=threads_a_chunk(ds, read, THREADS)),
         name,
         rows,
-        sizes,
-        tuple(sorted(coords)),
+        shapes,
         analysis.periodic_axes(scene),
         {n: _rows_along(ds.variables[n]) for n in read},
     )
+    ragged = [n for n, row in rows.items() if row.dims and row.dims[0] not in {*coords, *AXES}]
+    task = _RaggedTask(*arguments, tuple(ragged)) if ragged else _Task(*arguments)
     series = ds
     beside: list[str] = []
     if analysis.lags:
         series, beside = _with_others(ds, read, analysis.lags)
-    results = {n: (tuple(sizes[d] or 0 for d in row.dims), row.dtype) for n, row in rows.items()}
+    results = {n: (_known(shape), rows[n].dtype) for n, shape in shapes.items()}
     arrays: dict[str, Any] = {}
     if rows:
         tasks = name.replace("_", "-")
@@ -280,50 +282,19 @@ def _with_others(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """Analysis of a chunk of time, from padded arrays."""
+    """Analysis of a chunk of time, whose results have the same shape in each step."""
 
     analysis: FrameAnalysis
     name: str
     rows: Mapping[str, Variable]
-    sizes: Mapping[str, int | None]
-    # no set, whose order differs between processes, and with it names of tasks
-    labelled: tuple[str, ...]
+    shapes: Mapping[str, tuple[int | None, ...]]
     periodic: str
     dims: Mapping[str, str]
 
     def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-        """Return the results of all steps, padded to the declared lengths."""
-        steps = len(arrays["particle_id"])
-        of_steps: Iterable[Mapping[str, ArrayLike]] = (
-            self.analysis.frames(now, *others) for now, *others in self._steps(arrays)
-        )
-        sizes = dict(self.sizes)
-        unknown = {dim for row in self.rows.values() for dim in row.dims if sizes[dim] is None}
-        if unknown:
-            of_steps = list(of_steps)
-            for dim in unknown:
-                sizes[dim] = self._most_rows(dim, of_steps)
-        out: dict[str, NDArray] = {}
-        places: dict[str, Any] = {}
-        ragged = any(map(self._is_ragged, self.rows.values()))
-        for t, results in enumerate(of_steps):
-            if ragged:
-                places = self._places(arrays, t)
-            for name, row in self.rows.items():
-                shape = tuple(sizes[dim] or 0 for dim in row.dims)
-                values = self._checked(name, results, row, shape)
-                place: Any = ...
-                in_order = True
-                if self._is_ragged(row):
-                    place = places.get(row.dims[0], slice(len(values)))
-                    in_order = isinstance(place, slice) or place.dtype == bool
-                if steps == 1 and in_order and values.shape == shape and values.dtype == row.dtype:
-                    out[name] = values[None]
-                    continue
-                if name not in out:
-                    out[name] = np.full((steps, *shape), row.fill, row.dtype)
-                out[name][t, place] = values
-        return out
+        """Return the results of all steps, time first."""
+        of_steps = (self.analysis.frames(now, *others) for now, *others in self._steps(arrays))
+        return self.stack(of_steps, arrays)
 
     def _steps(self, arrays: Mapping[str, NDArray]) -> Iterator[tuple[Any, ...]]:
         """Yield each step with the others that it is computed with."""
@@ -347,15 +318,103 @@ class _Task:
             frame.update({name: values[t] for name, values in of_step.items()})
             yield frame, lattice, source
 
-    def _is_ragged(self, row: Variable) -> bool:
-        """Return whether steps may have fewer rows than the result."""
-        return bool(row.dims) and row.dims[0] not in self.labelled and row.dims[0] not in AXES
+    def stack(
+        self, of_steps: Iterable[Mapping[str, ArrayLike]], arrays: Mapping[str, NDArray]
+    ) -> dict[str, NDArray]:
+        """Stack the results of the steps of arrays; a single step is not copied."""
+        steps = len(arrays["particle_id"])
+        stacked: dict[str, NDArray] = {}
+        for t, results in enumerate(of_steps):
+            for name, row in self.rows.items():
+                values = self.values_of(name, results)
+                if values.shape != self.shapes[name]:
+                    raise self.wrong_shape(name, values)
+                if steps == 1 and values.dtype == row.dtype:
+                    stacked[name] = values[None]
+                    continue
+                if name not in stacked:
+                    stacked[name] = np.full((steps, *values.shape), row.fill, row.dtype)
+                stacked[name][t] = values
+        return stacked
 
-    def _most_rows(self, dim: str, of_steps: Iterable[Mapping[str, ArrayLike]]) -> int:
-        """Return the number of rows along a dimension of the step that has most."""
-        names = [name for name, row in self.rows.items() if row.dims[:1] == (dim,)]
-        lengths = [len(np.asarray(step[name])) for step in of_steps for name in names]
-        return max(lengths, default=0)
+    # Errors of the program, which on_error="skip" passes on.
+
+    def values_of(self, name: str, results: Mapping[str, ArrayLike]) -> NDArray:
+        """Return a result as an array; raise TypeError if it is missing."""
+        if name not in results:
+            raise TypeError(
+                f"{self.name}: the result {name!r} is missing; frame() returned {sorted(results)}"
+            )
+        return np.asarray(results[name])
+
+    def wrong_shape(
+        self, name: str, values: NDArray, expected: tuple[int | None, ...] = ()
+    ) -> TypeError:
+        """Return the error of a result that has another shape than its row says."""
+        return TypeError(
+            f"{self.name}: the result {name!r} has the shape {values.shape}, expected "
+            f"{expected or self.shapes[name]} for the dimensions {self.rows[name].dims}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _RaggedTask(_Task):
+    """Analysis of a chunk of time in which steps may have fewer rows than the result."""
+
+    ragged: tuple[str, ...]  # results of such rows: of particles, contacts, or lists of any length
+
+    def stack(
+        self, of_steps: Iterable[Mapping[str, ArrayLike]], arrays: Mapping[str, NDArray]
+    ) -> dict[str, NDArray]:
+        """Stack the results of the steps of arrays, padded to the declared lengths.
+
+        Where a length was not declared, it is that of the step that has most.
+        """
+        shapes = dict(self.shapes)
+        if any(None in shape for shape in shapes.values()):
+            of_steps = list(of_steps)
+            shapes = self._shapes_of(of_steps)
+        steps = len(arrays["particle_id"])
+        stacked: dict[str, NDArray] = {}
+        for t, results in enumerate(of_steps):
+            places = self._places(arrays, t)
+            for name, row in self.rows.items():
+                shape = _known(shapes[name])
+                values = self.values_of(name, results)
+                place: Any = ...
+                fits = values.shape == shape
+                if name in self.ragged:
+                    count = len(values) if values.ndim else 0
+                    fits = values.shape == (count, *shape[1:]) and count <= shape[0]
+                    place = places.get(row.dims[0], slice(count))
+                if not fits:
+                    raise self.wrong_shape(name, values, shape)
+                in_order = not isinstance(place, np.ndarray) or place.dtype == bool
+                if steps == 1 and in_order and values.shape == shape and values.dtype == row.dtype:
+                    stacked[name] = values[None]
+                    continue
+                if name not in stacked:
+                    stacked[name] = np.full((steps, *shape), row.fill, row.dtype)
+                stacked[name][t, place] = values
+        return stacked
+
+    def _shapes_of(
+        self, of_steps: Sequence[Mapping[str, ArrayLike]]
+    ) -> dict[str, tuple[int | None, ...]]:
+        """Return the shapes of the results, with the lengths that were not declared."""
+        most: dict[str, int] = {}
+        for name, shape in self.shapes.items():
+            if None in shape[:1]:
+                lengths = [len(self.values_of(name, results)) for results in of_steps]
+                dim = self.rows[name].dims[0]
+                most[dim] = max([most.get(dim, 0), *lengths])
+        return {
+            name: tuple(
+                most.get(dim, 0) if length is None else length
+                for dim, length in zip(self.rows[name].dims, shape, strict=True)
+            )
+            for name, shape in self.shapes.items()
+        }
 
     def _places(self, arrays: Mapping[str, NDArray], t: int) -> dict[str, Any]:
         """Return the rows of particles and contacts in padded arrays."""
@@ -364,22 +423,7 @@ class _Task:
             places["contact"] = arrays["contact_i"][t] != PADDING
         return places
 
-    def _checked(
-        self, name: str, results: Mapping[str, ArrayLike], row: Variable, shape: tuple[int, ...]
-    ) -> NDArray:
-        """Return a result as an array; raise TypeError unless it has the shape of its row."""
-        # an error of the program, which on_error="skip" passes on
-        if name not in results:
-            raise TypeError(
-                f"{self.name}: the result {name!r} is missing; frame() returned {sorted(results)}"
-            )
-        values = np.asarray(results[name])
-        fits = values.shape == shape
-        if self._is_ragged(row):
-            fits = values.shape[1:] == shape[1:] and values.ndim > 0 and len(values) <= shape[0]
-        if not fits:
-            raise TypeError(
-                f"{self.name}: the result {name!r} has the shape {values.shape}, expected {shape} "
-                f"for the dimensions {row.dims}"
-            )
-        return values
+
+def _known(shape: tuple[int | None, ...]) -> tuple[int, ...]:
+    """Return a shape with 0 for a length that only the steps have."""
+    return tuple(length or 0 for length in shape)
