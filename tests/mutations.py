@@ -342,6 +342,10 @@ TABLE = [
         "test_errors_of_the_kinetic_stress_are_those_of_averages_without_each_step",
     ),
     Mutation(
+        "fields/formulas/averages.py", 'sums["velocity/shift"] - weight * mean', 'sums["velocity/shift"]',
+        "test_the_flux_of_a_phase_in_an_average_is_relative_to_the_averaged_velocity_of_the_bulk",
+    ),
+    Mutation(
         "fields/formulas/averages.py", "(of_bulk - mean).where", "of_bulk.where",
         "test_a_window_of_one_step_is_the_step_and_a_fast_frame_loses_no_digits",
     ),

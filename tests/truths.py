@@ -169,6 +169,36 @@ def gas(
     )
 
 
+DRIFTS = {"1": -0.5, "2": 0.2}  # of small and large grains along z
+
+
+def segregating(steps: int = 16) -> xr.Dataset:
+    """Mixture of two sizes with m <v_k^2> = pi / 6 for each, small grains falling and large ones rising."""
+    ds = gas(steps, sizes=(1.0, 1.5))
+    drift = np.where(ds["species"] == 1, DRIFTS["1"], DRIFTS["2"])
+    up = xr.DataArray([0.0, 0.0, 1.0], dims="component")
+    return ds.assign(velocity=ds["velocity"] + xr.DataArray(drift, dims=("time", "particle")) * up)
+
+
+def of_segregating(steps: int = 16) -> dict[str, dict[str, float]]:
+    """Return density, flux of mass relative to the bulk, and temperature of each species, from its grains."""
+    first = segregating(steps).isel(time=0)
+    density = {
+        phase: float(first["mass"].where(first["species"] == int(phase)).sum()) / SIDE**3
+        for phase in DRIFTS
+    }
+    bulk = sum(density[phase] * DRIFTS[phase] for phase in DRIFTS) / sum(density.values())
+    diameter = {"1": 1.0, "2": 1.5}
+    return {
+        phase: {
+            "density": density[phase],
+            "flux": density[phase] * (drift - bulk),
+            "temperature": 1 / diameter[phase] ** 3 + (drift - bulk) ** 2 / 3,
+        }
+        for phase, drift in DRIFTS.items()
+    }
+
+
 def moving(gradient: NDArray, steps: int = 4) -> xr.Dataset:
     """Grains that follow a linear flow about the middle of the box exactly."""
     position, diameter = _places(steps, 0.2, (1.0,), SIDE)
@@ -390,6 +420,7 @@ def systems(names: Sequence[str] = ()) -> list[System]:
     makers: dict[str, Callable[[], System]] = {
         "elastic gas": _gas,
         "mixture in equilibrium": _mixture,
+        "segregating mixture": _segregating,
         "uniform shear": _shear,
         "compression": _compression,
         "rigid rotation": _rotation,
@@ -428,6 +459,17 @@ def _mixture() -> System:
     return System(
         "mixture in equilibrium", lambda: gas(sizes=(1.0, 2.0)), truths, options={"by": "species"}
     )
+
+
+def _segregating() -> System:
+    truths = []
+    for phase, values in of_segregating().items():
+        truths += [
+            Truth("velocity", DRIFTS[phase], "z", phase=phase),
+            Truth("segregation_flux", values["flux"], "z", phase=phase),
+            Truth("granular_temperature", values["temperature"], phase=phase),
+        ]
+    return System("segregating mixture", segregating, truths, options={"by": "species"})
 
 
 def _shear() -> System:

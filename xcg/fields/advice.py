@@ -63,7 +63,8 @@ def _depends_on_support(plan: Plan) -> bool:
     """Return whether a requested field of single steps depends on how many grains a node sees."""
     options = plan.options
     rows = [registry.row(name, options) for name in plan.requested]
-    if any(row.floor is not None for row in rows) or {*_OF_ONE_VARIANCE} & {*plan.requested}:
+    follows_grains = {*_OF_ONE_VARIANCE, "segregation_flux"}
+    if any(row.floor is not None for row in rows) or follows_grains & {*plan.requested}:
         return True
     return any(takes_stress_of_step(row, options) for row in rows)
 

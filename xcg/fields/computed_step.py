@@ -79,6 +79,7 @@ class ComputedStep:
             effects |= self._fraction()
         if plan.support is not None and call.is_new("pressures"):
             effects |= self._lost_stress()
+            effects |= self._lost_flux()
             self._warn_of_flow_in_temperatures()
         if plan.support is not None and (plan.named or effects):
             effects |= self._floors()
@@ -211,6 +212,18 @@ class ComputedStep:
         return {
             "lost stress": f"{names} {verb} {share}, as the velocity at a node follows these grains"
         }
+
+    def _lost_flux(self) -> dict[str, str]:
+        """Return how much the flux of a phase lacks, as the bulk's velocity at a node follows the grains there."""
+        assert self.plan.support is not None
+        share = 1 / self.plan.support.grains
+        if "segregation_flux" not in self.plan.requested or share <= _CONSIDERABLE:
+            return {}
+        text = (
+            f"segregation_flux lacks about {100 * share:.0f} % of it, as the bulk's velocity at a node follows these "
+            "grains"
+        )
+        return {"lost flux": text}
 
     def _warn_of_flow_in_temperatures(self) -> None:
         """Warn where temperatures hold the variation of the flow along an averaged axis, which no gradient sees."""

@@ -663,7 +663,7 @@ _OF_COVARIANCE = ("density", "velocity")
 
 
 def takes_covariance(row: Field, options: Options) -> bool:
-    """Return whether averages contain the covariance of the velocity: of kinetic stress and what is linear in it."""
+    """Return whether averages are about the averaged velocity: of kinetic stress, what is linear in it, and fluxes."""
     if row.covariance is not None:
         return True
     if not row.additive or row.moments:
@@ -674,7 +674,9 @@ def takes_covariance(row: Field, options: Options) -> bool:
 
 
 def takes_stress_of_step(row: Field, options: Options) -> bool:
-    """Return whether a field follows from the kinetic stress, but for temperatures."""
+    """Return whether a field follows from the kinetic stress, but for temperatures; a flux does not."""
+    if row.rank == 1:
+        return False
     if takes_covariance(row, options):
         return True
     return not row.moments and any(
@@ -698,7 +700,7 @@ def _lacking_for_covariance(f: xr.Dataset) -> str:
 def _about_mean_velocity(
     f: xr.Dataset, rows: Mapping[str, Field | None], purpose: str, dims: Sequence[str]
 ) -> dict[str, xr.DataArray]:
-    """Return the sums of m (v - u)(v - u) less the kinetic stress, and of m (v - u), by phase, if they are needed.
+    """Return the sums of m (v - u)(v - u) less the kinetic stress, of m (v - u) and m (V - u), by phase, if needed.
 
     u is the mean over `dims` of the bulk's velocity: relative to it nothing large is subtracted.
     """
@@ -723,6 +725,7 @@ def _about_mean_velocity(
     shift = (of_bulk - mean).where(weight_of_bulk != 0, 0.0)
     drift = weight * (velocity - of_bulk)
     return {
+        "velocity/shift": weight * shift,
         "velocity/first": drift + weight * shift,
         "velocity/second": _outer(drift, shift)
         + _outer(shift, drift)
@@ -735,31 +738,37 @@ def _outer(a: xr.DataArray, b: xr.DataArray) -> xr.DataArray:
     return a * b.rename(component="direction")
 
 
-def _covariance(sums: xr.Dataset) -> xr.DataArray:
-    """Return the averaged sum of m (v - U)(v - U) less the averaged kinetic stress, by phase."""
+def _about_averaged_velocity(sums: xr.Dataset) -> dict[str, xr.DataArray]:
+    """Return what averages add, by phase: to kinetic stress the "covariance", to a flux of mass the "shift".
+
+    The covariance is the averaged sum of m (v - U)(v - U) less the averaged kinetic stress, the
+    shift the averaged rho (V - U), V the bulk's velocity.
+    """
     weight = sums["velocity/bottom"]
     first = sums["velocity/first"]
     first_of_bulk = _of_bulk(first, "velocity", "averages")
     weight_of_bulk = _of_bulk(weight, "velocity", "averages")
     mean = (first_of_bulk / weight_of_bulk.where(weight_of_bulk != 0)).fillna(0.0)
     moved = first - weight * mean
-    return sums["velocity/second"] - _outer(mean, first) - _outer(moved, mean)
+    return {
+        "covariance": sums["velocity/second"] - _outer(mean, first) - _outer(moved, mean),
+        "shift": sums["velocity/shift"] - weight * mean,
+    }
 
 
-def _of_covariance(name: str, covariance: xr.DataArray, options: Options) -> xr.DataArray:
-    """Return what the covariance of the velocity adds to an averaged field."""
+def _of_covariance(name: str, added: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
+    """Return what the covariance or the shift of the velocity adds to an averaged field."""
     row = registry.row(name, options)
     if row.covariance is not None:
-        of_row = replace(row, compute=row.covariance)
-        return _compute(of_row, {"covariance": covariance}, options)
+        return _compute(replace(row, compute=row.covariance), added, options)
     parts = {}
     for need in row.fields:
         needed = registry.row(need, options)
         if takes_covariance(needed, options):
-            parts[need] = _of_covariance(need, covariance, options)
+            parts[need] = _of_covariance(need, added, options)
         else:
             tail = ("component", "direction")[needed.rank :]
-            parts[need] = xr.zeros_like(covariance.isel(dict.fromkeys(tail, 0), drop=True))
+            parts[need] = xr.zeros_like(added["covariance"].isel(dict.fromkeys(tail, 0), drop=True))
     return _compute(row, parts, options)
 
 
@@ -837,10 +846,10 @@ def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
             denominator = sums[f"{ratio}/bottom"]
             fields[ratio] = sums[name] / denominator.where(denominator != 0)
     if "velocity/second" in sums:
-        covariance = _covariance(sums)
+        added = _about_averaged_velocity(sums)
         for name, row in _rows_of(f).items():
             if row and takes_covariance(row, options):
-                fields[name] = fields[name] + _of_covariance(name, covariance, options)
+                fields[name] = fields[name] + _of_covariance(name, added, options)
     out = {}
     for name in map(str, f.data_vars):
         out[name] = derive(name, fields, options).assign_attrs(f[name].attrs)

@@ -183,7 +183,7 @@ class Field:
     covariance : callable, optional
         ``covariance(f, s, o)`` gives what averages over steps or nodes add to the mean of an
         additive field, of ``f.covariance``, that of the velocities: mean rho (V - U)(V - U), U
-        their mean. Linear functions of such a field follow.
+        their mean, and of ``f.shift``: mean rho_a (V - U). Linear functions of such a field follow.
     references : str
         Where it is defined, authors and year.
     averages : str

@@ -38,7 +38,13 @@ from xcg.fields.formulas.algebra import (
     transposed,
     zero_if_unknown,
 )
-from xcg.fields.formulas.field import Field, Options, mean_of_sums, sum_of
+from xcg.fields.formulas.field import (
+    ABOUT_MEAN_VELOCITY,
+    Field,
+    Options,
+    mean_of_sums,
+    sum_of,
+)
 
 
 def _anisotropy(tensor: NDArray, factor: tuple[float, float], o: Options) -> NDArray:
@@ -286,6 +292,9 @@ _ROWS: dict[str, Field] = {
         fields=("_drift",),
         moments=("mass", "momentum"),
         additive=True,
+        # rho_a (V_a - U), U the averaged velocity of the bulk
+        covariance=lambda f, s, o: f.shift,
+        averages=ABOUT_MEAN_VELOCITY,
         option="by",
     ),
     "concentration": Field(
