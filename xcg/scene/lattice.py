@@ -60,13 +60,20 @@ class Lattice:
         """
         edges = box.get("box")
         axes = [COMPONENTS.index(axis) for axis in periodic]
-        if box.get("lattice") is None:
-            return cls(_periods(edges, axes, source), edges)
+        if box.get("lattice") is not None:
+            return cls._of_vectors(box, axes, source)
+        return cls(_periods(edges, axes, source), edges)
+
+    @classmethod
+    def _of_vectors(cls, box: Mapping[str, NDArray], axes: list[int], source: str) -> Lattice:
+        """Read a box that has vectors, which may be along the axes."""
+        edges = box.get("box")
         rates = np.asarray(box.get("lattice_velocity", np.zeros((3, 3))), float)[axes]
         vectors = np.asarray(box["lattice"], float)[axes]
         lengths = np.linalg.norm(vectors, axis=1)
         finite = np.isfinite(vectors).all() and np.isfinite(rates).all()
         if not (finite and _volume(vectors) > 1e-12 * lengths.prod()):
+            periodic = "".join(COMPONENTS[k] for k in axes)
             raise SceneError(
                 f"{source}: the lattice vectors of the periodic axes {periodic!r} are "
                 f"{vectors.tolist()} (m), moving with {rates.tolist()} (m/s); expected finite "
@@ -281,6 +288,10 @@ class Lattice:
         """
         if self.vectors is None:
             return replace(self, period=np.where(active, self.period, np.inf))
+        return self._shadow(active, source)
+
+    def _shadow(self, active: NDArray, source: str) -> Lattice:
+        """Return `seen` of a lattice of vectors: their parts along some axes (3,)."""
         vectors, rates, apart = self._along(active)
         shadows = (vectors * active)[apart]
         if not _independent(shadows):
@@ -401,9 +412,13 @@ class Lattice:
         lengths = np.full(3, np.nan) if self.edges is None else self.edges[:, 1] - self.edges[:, 0]
         if self.cell is None:
             return float(lengths[hidden].prod())
+        return self._volume_of_images(hidden, lengths, self.cell)
+
+    def _volume_of_images(self, hidden: NDArray, lengths: NDArray, cell: NDArray) -> float:
+        """Return `extent` in a box of vectors `cell` (3, 3), whose edges have some lengths (3,)."""
         vectors, _, apart = self._along(~hidden)
         along = vectors[~apart]
-        open_axes = hidden & ~self.cell.any(axis=1)
+        open_axes = hidden & ~cell.any(axis=1)
         if len(along) + open_axes.sum() < hidden.sum() or not np.isfinite(lengths[open_axes]).all():
             return np.nan
         box = np.diag(np.where(open_axes, lengths, 0.0))[open_axes]
