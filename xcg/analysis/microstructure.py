@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.analysis.packing import Measure
 from xcg.analysis.quantities import QUANTITIES
 from xcg.analysis.regions import Bounds
-from xcg.analysis.samples import Measure
 from xcg.common.checks import FINITE, check, check_choice, floats, is_positive, whole
 from xcg.common.messages import unknown
 from xcg.scene.conform import takes_scene

@@ -35,14 +35,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.analysis.quantities import ratio
 from xcg.common.messages import warn_once
 
 NOISY = 0.1  # scatter of Lacey's index in a random mixture from which a warning is given
+
+
+def ratio(a: Any, b: float) -> Any:
+    """Return a / b, NaN where b is not positive."""
+    if b > 0:
+        return a / b
+    return np.full(np.shape(a), np.nan)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.quantities import CONTACTS
 from xcg.common.checks import check_choice, extra
 from xcg.compiled.contacts import join_clusters
 from xcg.scene.conform import takes_scene
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 EdgeWeight: TypeAlias = Literal["contacts", "force", "overlap"]
+CONTACTS = ("contact_i", "contact_j", "contact_point")
 # variables that attributes of edges follow from
 _VARIABLES = {"force": "contact_force", "overlap": "overlap"}
 

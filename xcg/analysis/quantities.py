@@ -1,28 +1,4 @@
-"""Quantities of the microstructure: one row each, with its unit, formula, what it needs, and how it is computed.
-
-A row's function takes the sample ``s`` of one group of particles at one time:
-
-count, diameter, volume, mass, velocity, position : number and (n, ...)
-    The particles of the group.
-partners, backbone : (n,)
-    Number of contact partners, and whether they hold the particle in place (it is not a rattler).
-weight, normal : (c, ...)
-    The contacts of the group; a contact weighs half for each of its particles in the group, 1 at a
-    wall.
-pushing, normal_force, tangential_force
-    Weights of the contacts that have a positive normal force, and their forces.
-clusters
-    Which grains of the group contacts between them connect (`xcg.analysis.network`).
-virial : (3, 3)
-    Sum of f a over the particles' sides of their contacts.
-mixture, which
-    All grains of the region by phase (`xcg.analysis.mixing`), and the group: 0 the bulk, 1, 2, ...
-    the phases.
-is_endless : (3,)
-    Whether the region is a whole period along an axis, so that heights have no meaning.
-region_volume, plane, min_contacts, max_connectivity, force_bins
-    Volume (m3), axes of the scene, and options.
-"""
+"""Quantities of packings: one row each, with its unit, formula, what it needs, and how it is computed from a sample."""
 
 from __future__ import annotations
 
@@ -34,6 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.analysis.mixing import ratio
+from xcg.analysis.network import CONTACTS
+from xcg.analysis.samples import Sample
+
 
 @dataclass(frozen=True)
 class PackingQuantity:
@@ -44,7 +24,7 @@ class PackingQuantity:
     long_name, formula : str
         For the attributes and the documentation.
     compute : callable
-        ``compute(s)`` for a `SimpleNamespace` with the sample, see above.
+        ``compute(s)`` for a sample.
     units : str
         SI unit.
     dims : tuple of str
@@ -57,61 +37,53 @@ class PackingQuantity:
 
     long_name: str
     formula: str
-    compute: Callable[[Any], Any]
+    compute: Callable[[Sample], Any]
     units: str = "1"
     dims: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     of_phases: bool = False
 
 
-CONTACTS = ("contact_i", "contact_j", "contact_point")
 FORCES = (*CONTACTS, "contact_force")
 TENSOR = ("component", "direction")
 
 
-def ratio(a: Any, b: float) -> Any:
-    """Return a / b, NaN where b is not positive."""
-    if b > 0:
-        return a / b
-    return np.full(np.shape(a), np.nan)
-
-
-def _mechanical(s: Any) -> float:
+def _mechanical(s: Sample) -> float:
     load_bearing = s.partners[s.partners >= s.min_contacts]
     return ratio(load_bearing.sum(), len(load_bearing))
 
 
-def _connectivity(s: Any) -> NDArray:
+def _connectivity(s: Sample) -> NDArray:
     last = s.max_connectivity
     return ratio(np.bincount(np.minimum(s.partners, last).astype(int), minlength=last + 1), s.count)
 
 
-def _mean_force(force: str, s: Any) -> float:
+def _mean_force(force: str, s: Sample) -> float:
     return float(ratio((s.pushing * getattr(s, force)).sum(), s.pushing.sum()))
 
 
-def _force_pdf(force: str, s: Any) -> NDArray:
+def _force_pdf(force: str, s: Sample) -> NDArray:
     contacts = s.pushing.sum() * (_mean_force(force, s) > 0)
     return ratio(_force_count(force, s), contacts) / np.diff(s.force_bins)
 
 
-def _force_count(force: str, s: Any) -> NDArray:
+def _force_count(force: str, s: Sample) -> NDArray:
     ratios = ratio(getattr(s, force), _mean_force(force, s))
     return np.histogram(ratios, s.force_bins, weights=s.pushing)[0]
 
 
-def _fabric(s: Any) -> NDArray:
+def _fabric(s: Sample) -> NDArray:
     known = s.weight * (s.normal**2).sum(axis=1)
     return ratio(np.einsum("n,ni,nj->ij", s.weight, s.normal, s.normal), known.sum())
 
 
-def _percolation(s: Any) -> NDArray:
+def _percolation(s: Sample) -> NDArray:
     reaches = np.full(3, np.nan)
     reaches[s.plane] = s.clusters.spans[s.plane]
     return reaches
 
 
-def _plane(tensor: NDArray, s: Any) -> NDArray:
+def _plane(tensor: NDArray, s: Sample) -> NDArray:
     """Symmetric part of a tensor, in the axes of the scene."""
     return ((tensor + tensor.T) / 2)[np.ix_(s.plane, s.plane)]
 
@@ -124,7 +96,7 @@ def _norm(tensor: NDArray) -> float:
     return float(np.sqrt((tensor * tensor).sum()))
 
 
-def _anisotropy(s: Any) -> float:
+def _anisotropy(s: Sample) -> float:
     fabric = _norm(_deviator(_plane(_fabric(s), s)))
     # the norms of a = 15/2 F' and a = 4 F' that are a_1 - a_3 for an axisymmetric fabric and a_1 in
     # a plane
@@ -133,20 +105,20 @@ def _anisotropy(s: Any) -> float:
     return np.sqrt(0.5) * 4 * fabric
 
 
-def _stress(s: Any) -> NDArray:
+def _stress(s: Sample) -> NDArray:
     return ratio(s.virial, s.region_volume)
 
 
-def _mean_stress(s: Any) -> float:
+def _mean_stress(s: Sample) -> float:
     return float(np.trace(_plane(_stress(s), s)) / len(s.plane))
 
 
-def _deviator_stress(s: Any) -> float:
+def _deviator_stress(s: Sample) -> float:
     factor = {3: 3 / 2, 2: 2}[len(s.plane)]
     return np.sqrt(factor) * _norm(_deviator(_plane(_stress(s), s)))
 
 
-def _velocity_rate(s: Any) -> float:
+def _velocity_rate(s: Sample) -> float:
     """Deviatoric strain rate of the affine flow that fits the velocities best."""
     if s.count <= len(s.plane):
         return np.nan
@@ -163,7 +135,7 @@ def _velocity_rate(s: Any) -> float:
     return np.sqrt(factor) * _norm(rate)
 
 
-def _d50(s: Any) -> float:
+def _d50(s: Sample) -> float:
     if not s.count:
         return np.nan
     order = np.argsort(s.diameter, kind="stable")
@@ -171,18 +143,18 @@ def _d50(s: Any) -> float:
     return s.diameter[order][np.searchsorted(share, 0.5 * share[-1])]
 
 
-def _d_bar(s: Any) -> float:
+def _d_bar(s: Sample) -> float:
     load_bearing = s.partners >= s.min_contacts
     return ratio((s.volume * s.diameter)[load_bearing].sum(), s.volume[load_bearing].sum())
 
 
-def _of_mixture(method: str, s: Any) -> float:
-    if not len(s.mixture.phase):
+def _of_mixture(method: str, s: Sample) -> float:
+    if s.mixture is None or not len(s.mixture.phase):
         return np.nan
     return getattr(s.mixture, method)(s.which)
 
 
-def _centre_of_mass(s: Any) -> NDArray:
+def _centre_of_mass(s: Sample) -> NDArray:
     """Return the centre of mass (3,), NaN along periodic axes that no bounds end."""
     centre = ratio((s.mass[:, None] * s.position).sum(axis=0), s.mass.sum())
     return np.where(s.is_endless, np.nan, centre)
