@@ -406,8 +406,16 @@ TABLE = [
         "test_averaged_temperatures_of_phases_that_are_unknown_warn_of_their_share",
     ),
     Mutation(
-        "fields/formulas/block_errors.py", "biases.append((count - 1) *", "biases.append(count *",
+        "fields/formulas/block_errors.py", "bias = (count - 1) * deviation.mean", "bias = count * deviation.mean",
         "test_bias_of_kinetic_stress_is_that_of_a_variance",
+    ),
+    Mutation(
+        "fields/formulas/block_errors.py", "(of_others[name] + norm)", "(of_others[name] - norm)",
+        "test_the_square_of_a_norm_without_its_bias_is_that_of_the_mean_less_its_variance",
+    ),
+    Mutation(
+        "fields/formulas/doubts.py", "bias > _NOISY * norm", "bias < _NOISY * norm",
+        "test_norms_that_are_more_noise_than_truth_warn_of_both_values",
     ),
     Mutation(
         "fields/formulas/rows/flow.py", "(2 * dot(across, first) / mass +", "(dot(across, first) / mass +",

@@ -197,6 +197,7 @@ class Plan:
             "size_diameter": options.diameter,
             "lag": options.lag,
             "extent": extent_text(lengths) or None,
+            "fields_by_name": int(self.named) or None,
         }
         return {name: value for name, value in attrs.items() if value is not None}
 

@@ -11,6 +11,7 @@ from tests import ensembles, raise_if_dask_computes, truths
 from tests.scenes import random_steps
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages
+from xcg.fields.formulas.block_errors import jackknife
 
 ALL = {"width": 0.8, "spacing": 1.0}
 
@@ -864,6 +865,52 @@ def anisotropic():
     return f.cg.time_average(16, every=16)
 
 
+def test_the_square_of_a_norm_without_its_bias_is_that_of_the_mean_less_its_variance():
+    """Exactly, however large the noise; 0 where the variance is the larger."""
+    rng = np.random.default_rng(0)
+    vectors = rng.normal(size=(9, 200, 5)) + np.linspace(0, 1, 200)[:, None]
+    samples = xr.Dataset({"v": (("sample", "node", "k"), vectors)})
+    blocks = jackknife(
+        samples,
+        "sample",
+        lambda mean: xr.Dataset({"norm": (mean.v**2).sum("k") ** 0.5}),
+        norms=["norm"],
+    )
+    square = (vectors.mean(axis=0) ** 2).sum(axis=-1)
+    variance = vectors.var(axis=0, ddof=1).sum(axis=-1) / 9
+    left = np.sqrt(square) - blocks.biases.norm
+    assert 20 < np.count_nonzero(square < variance) < 100
+    np.testing.assert_allclose(left**2, np.maximum(square - variance, 0.0), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_norms_that_are_more_noise_than_truth_warn_of_both_values(lazy):
+    ds = truths.contacts(16, 300, 6.0)
+    names = ["contact_anisotropy", "friction_coefficient"]
+    f = ds.cg.coarse_grain(names, spacing=2.0, for_averages=True)
+    if lazy:
+        f = f.chunk(x=1)
+    with pytest.warns(xcg.SceneWarning) as caught:
+        mean = f.cg.time_average().compute()
+    texts = [str(warning.message) for warning in caught]
+    for name in names:
+        (text,) = [text for text in texts if text.startswith(f"time_average: {name} is ")]
+        left = mean[name] - mean[f"{name}_bias"]
+        assert f"is {float(mean[name].mean()):.2g} in the mean of the nodes, " in text
+        assert f"{float(left.mean()):.2g} without its bias" in text
+        noisy = left**2 < mean[name] ** 2 / 2
+        assert f"at {100 * float(noisy.mean()):.0f} % of the nodes" in text
+
+
+def test_norms_of_more_grains_are_silent():
+    ds = truths.contacts(16, 300, 6.0)
+    names = ["contact_anisotropy", "friction_coefficient"]
+    f = ds.cg.coarse_grain(names, axes="z", width=1.5, for_averages=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        f.cg.time_average()
+
+
 def test_bias_of_shear_rate_inertial_number_and_pressure_of_a_sheared_gas():
     ds = truths.gas(160, side=6.0, rate=0.5)
     names = ["shear_rate", "inertial_number", "pressure"]
@@ -877,7 +924,7 @@ def test_bias_of_shear_rate_inertial_number_and_pressure_of_a_sheared_gas():
 
 
 def test_bias_takes_eight_blocks_and_fields_that_are_not_linear():
-    f = truths.gas(8, side=6.0).cg.coarse_grain(
+    f = truths.gas(8, side=6.0, rate=0.5).cg.coarse_grain(
         ["velocity", "density", "shear_rate", "pressure"], axes="z", width=1.0
     )
     mean = f.cg.time_average()
@@ -917,6 +964,9 @@ def test_attributes_say_how_a_field_is_averaged():
 # --- runs as samples -------------------------------------------------------------------------------------
 
 
+of_random_forces = pytest.mark.filterwarnings("ignore:time_average. friction_coefficient is 0.0")
+
+
 def runs(count, fields=("density", "velocity", "stress", "friction_coefficient"), **options):
     """Return results of runs that differ by their random numbers."""
     options = {"width": 1.0, "axes": "z", "bounds": {"z": (0.0, 4.0)}, "spacing": 1.0} | options
@@ -928,6 +978,7 @@ def runs(count, fields=("density", "velocity", "stress", "friction_coefficient")
     return results
 
 
+@of_random_forces
 def test_runs_are_independent_samples_of_ratios_of_averaged_sums():
     parts = runs(10)
     mean = xr.concat(parts, "run").cg.time_average(dim="run")
@@ -954,6 +1005,7 @@ def test_a_drift_from_run_to_run_is_scatter():
     np.testing.assert_allclose(mean.density_error, scatter, rtol=1e-9)
 
 
+@of_random_forces
 def test_averages_over_time_are_samples_without_their_own_errors():
     parts = [f.cg.time_average() for f in runs(4)]
     mean = xr.concat(parts, "run").cg.time_average(dim="run")
@@ -988,6 +1040,7 @@ def test_runs_on_other_meshes_and_of_other_options_are_refused_by_name():
         xr.concat([a, b], "run").cg.time_average(2, dim="run")
 
 
+@of_random_forces
 def test_lazy_runs_are_averaged_to_the_same_bits():
     f = xr.concat(runs(9), "run")
     lazy = f.chunk()

@@ -31,6 +31,7 @@ from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, Jackknife, jackkni
 from xcg.fields.formulas.doubts import (
     NOT_NODES,
     Steadiness,
+    bias_of_norm,
     has_floors,
     unsure_sign,
     warn_of_floors,
@@ -208,7 +209,14 @@ def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr
     samples = samples.drop_vars([_noise_of(name) for name in noise])
     samples = _to_sums(samples, "time_average", [_SAMPLE])
     mean = _average_of(samples.mean(_SAMPLE, skipna=False), f, "time_average")
-    blocks = jackknife(samples, _SAMPLE, lambda means: _from_sums(means, f), independent=of_runs)
+    norms = [name for name, row in _rows_of(f).items() if row and row.is_norm]
+    blocks = jackknife(
+        samples,
+        _SAMPLE,
+        lambda means: _from_sums(means, f),
+        norms=norms,
+        independent=of_runs,
+    )
     in_a_mean = samples.sizes[_SAMPLE]
     mean = mean.assign(_beside(mean, f, blocks, samples, sums_beside))
     averaged = "averaged_runs" if of_runs else "averaged_steps"
@@ -258,6 +266,8 @@ def _beside(
             if name == "nematic_order" and options.dimension == 3:
                 unsure, error = unsure_sign(mean, error, call)
                 bias = bias.where(~unsure)
+            if row.is_norm:
+                bias = bias_of_norm(name, mean[name].variable, bias, call)
             bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}
             beside[f"{name}_bias"] = bias
         beside[f"{name}_error"] = error

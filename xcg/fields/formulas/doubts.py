@@ -253,9 +253,39 @@ def _warned_of_sign(call: Once, errors: NDArray, share: NDArray) -> NDArray:
     return errors
 
 
+# Bias over value of a norm, where noise and the true norm have equal squares.
+_NOISY = 1 - math.sqrt(0.5)
+
+
+def bias_of_norm(name: str, norm: xr.Variable, bias: xr.Variable, call: Once) -> xr.Variable:
+    """Return the bias of an averaged norm; it warns if noise is more than half of the square at most nodes."""
+    known = bias.notnull()
+    count = known.sum().clip(1)
+    share = (bias > _NOISY * norm).sum() / count
+    mean = norm.where(known).sum() / count
+    left = (norm - bias).sum() / count
+    unit = norm.attrs.get("units", "1")
+    warn = partial(_warned_of_noise, call, name, "" if unit == "1" else f" {unit}")
+    return xr.apply_ufunc(warn, bias, share, mean, left, dask="parallelized", output_dtypes=[float])
+
+
+def _warned_of_noise(call: Once, name: str, unit: str, bias: NDArray, *numbers: NDArray) -> NDArray:
+    """Return the bias of a norm; warn if noise is more than half of its square at most nodes."""
+    share, mean, left = (float(np.max(number)) for number in numbers)
+    if share > 0.5:
+        call.warn(
+            f"noise of {name}",
+            f"time_average: {name} is {mean:.2g}{unit} in the mean of the nodes, {left:.2g}{unit} without its bias: "
+            f"noise of few grains is more than half of its square at {100 * share:.0f} % of the nodes. Subtract "
+            f"{name}_bias, average over more steps, runs or axes (axes=), or increase width=",
+        )
+    return bias
+
+
 # --- floors ------------------------------------------------------------------------------------------
 
 FLOOR = "floor_of_one_step"
+NAMED = "fields_by_name"  # 1 in results of fields that were asked for by name
 
 
 def has_floors(f: xr.Dataset) -> bool:
@@ -283,7 +313,7 @@ def warn_of_floors(mean: xr.Dataset, options: Options, purpose: str) -> None:
 
     Floors of one step fall with the root of the number of steps and runs that are averaged.
     """
-    if "fields=" not in mean.attrs.get("history", ""):
+    if NAMED not in mean.attrs:
         return
     number = mean.attrs.get("averaged_steps", 1) * mean.attrs.get("averaged_runs", 1)
     texts = []

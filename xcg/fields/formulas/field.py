@@ -186,6 +186,9 @@ class Field:
         their mean, and of ``f.shift``: mean rho_a (V - U). Linear functions of such a field follow.
     references : str
         Where it is defined, authors and year.
+    is_norm : bool
+        Whether it is a norm of averaged sums, by itself or over others: the bias of its square is
+        exact, see `xcg.fields.formulas.block_errors`.
     averages : str
         What averages are, where a user may expect something else, for the attributes.
     floor : callable, optional
@@ -219,6 +222,7 @@ class Field:
     by_bulk: bool = False
     harmonic: bool = False
     covariance: Function | None = None
+    is_norm: bool = False
     references: str = ""
     averages: str = ""
     floor: Callable[[Support], float] | None = None

@@ -174,6 +174,7 @@ _ROWS: dict[str, Field] = {
         fields=("contact_fabric",),
         floor=floors.contact_anisotropy,
         usual=0.1,
+        is_norm=True,
     ),
     "branch_anisotropy": Field(
         long_name="anisotropy of the branch lengths",
@@ -182,6 +183,7 @@ _ROWS: dict[str, Field] = {
         fields=("branch_fabric", "contact_fabric"),
         floor=floors.branch_anisotropy,
         usual=0.1,
+        is_norm=True,
     ),
     "normal_force_anisotropy": Field(
         long_name="anisotropy of the normal forces",
@@ -190,6 +192,7 @@ _ROWS: dict[str, Field] = {
         fields=("normal_force_fabric", "contact_fabric"),
         floor=floors.force_anisotropy,
         usual=0.1,
+        is_norm=True,
     ),
     "tangential_force_anisotropy": Field(
         long_name="anisotropy of the tangential forces",
@@ -198,6 +201,7 @@ _ROWS: dict[str, Field] = {
         fields=("tangential_force_fabric",),
         floor=floors.tangential_anisotropy,
         usual=0.1,
+        is_norm=True,
     ),
     "fabric_stress": Field(
         rank=2,

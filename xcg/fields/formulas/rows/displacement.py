@@ -98,6 +98,7 @@ _ROWS: dict[str, Field] = {
         fields=("strain",),
         formula="|dev E| = sqrt(2 dev E : dev E), dev E = E - tr(E) / D I",
         compute=lambda f, s, o: np.sqrt(2 * contraction(deviator(f.strain, o.plane))),
+        is_norm=True,
     ),
     "rotation": Field(
         rank=2,

@@ -426,6 +426,7 @@ ROWS: dict[str, Field] = {
         floor=floors.shear_rate,
         usual=1.0,
         floor_units="sqrt(T) / d43",
+        is_norm=True,
     ),
     "kinetic_stress": Field(
         rank=2,

@@ -145,6 +145,7 @@ ROWS: dict[str, Field] = {
         references="Jop et al. 2006",
         compute=_shear_stress,
         fields=("stress", "deviatoric_stress"),
+        is_norm=True,
     ),
     "first_normal_stress_difference": Field(
         units="Pa",
@@ -202,6 +203,7 @@ ROWS: dict[str, Field] = {
         fields=("shear_stress", "pressure"),
         floor=floors.friction,
         usual=0.3,
+        is_norm=True,
     ),
     "inertial_number": Field(
         long_name="inertial number",
@@ -211,6 +213,7 @@ ROWS: dict[str, Field] = {
         fields=("shear_rate", "pressure", "particle_density", "_size"),
         floor=floors.inertial_number,
         usual=0.1,
+        is_norm=True,
     ),
     "fluidity": Field(
         units="s^-1",
@@ -228,6 +231,7 @@ ROWS: dict[str, Field] = {
         compute=lambda f, s, o: ratio(o.fluid_viscosity * f.shear_rate, f.pressure),
         fields=("shear_rate", "pressure"),
         option="fluid_viscosity",
+        is_norm=True,
     ),
     "relative_viscosity": Field(
         long_name="viscosity of the grains alone relative to that of the fluid",
