@@ -878,7 +878,7 @@ TABLE = [
         "test_normals_of_zero_follow_from_positions",
     ),
     Mutation(
-        "scene/sanity.py", "abs(ratio / 8 - 1)", "abs(ratio / 4 - 1)",
+        "scene/sanity_masses.py", "abs(ratio / 8 - 1)", "abs(ratio / 4 - 1)",
         "test_volumes_that_are_not_those_of_the_axes_are_named",
     ),
     Mutation(
@@ -909,7 +909,7 @@ TABLE = [
         "test_points_in_another_unit_are_named_with_it",
     ),
     Mutation(
-        "scene/sanity.py", "length = high - low\n        far", "length = high\n        far",
+        "scene/sanity_lengths.py", "length = high - low\n        far", "length = high\n        far",
         "test_a_box_in_another_unit_warns test_grains_outside_the_box_warn",
     ),
     Mutation(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import warn_once
 from xcg.scene.frame import rows_of
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import FEW, sample_of
+from xcg.scene.sanity_sample import FEW, sample_of
 from xcg.scene.schema import Frame
 
 _FAR = 3.0  # diameters from a centre to a contact point; rods 18 times as long as wide reach as far
