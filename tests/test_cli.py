@@ -21,7 +21,8 @@ from tests.dumps import write_series
 from tests.readers.engines.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.writers.test_vtkhdf import read
 from xcg.analysis.force_chains import Algorithm
-from xcg.cli import group, statistics_table
+from xcg.cli import group
+from xcg.cli.chain_command import statistics_table
 from xcg.jobs import pysammos_config
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job

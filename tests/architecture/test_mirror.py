@@ -15,6 +15,7 @@ OTHERS = {
     "scene/test_plausible.py": "warnings about implausible input, of scenes, calls and files",
     "steps/test_distributed.py": "the functions of all rooms under a cluster of processes",
     "steps/test_memory.py": "memory of readers, steps, sums and writers",
+    "test_cli.py": "the commands, as users type them",
 }
 
 

@@ -1,0 +1,5 @@
+"""``python -m xcg.cli``."""
+
+from xcg.cli import main
+
+main()
