@@ -709,6 +709,14 @@ TABLE = [
         "analysis/bond_order.py", "scale *= 2", "scale *= 1", "test_order_is_that_of_brute_force",
     ),
     Mutation(
+        "analysis/bond_order.py", "-(n + m - 1) / (n - m)", "-(n - m - 1) / (n - m)",
+        "test_harmonics_are_those_of_scipy",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "range(-1, -2 * m, -2)", "range(1, 2 * m, 2)",
+        "test_harmonics_keep_their_digits_at_the_pole",
+    ),
+    Mutation(
         "analysis/bond_order.py", "reach = min(float(alone.max()), half)", "reach = 0.1 * half",
         "test_order_is_that_of_brute_force",
     ),

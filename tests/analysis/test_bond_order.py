@@ -1,5 +1,7 @@
 """Bond order: crystals, definitions by brute force, freud."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,18 @@ def test_harmonics_are_those_of_scipy():
             scale = np.sqrt(4 * np.pi / (2 * degree + 1) * (2 if m else 1))
             expected = scale * special.sph_harm_y(degree, m, polar, turn)
             np.testing.assert_allclose(wave, expected, rtol=0, atol=1e-11)
+
+
+def test_harmonics_keep_their_digits_at_the_pole():
+    """To first order Y_lm is the angle to the pole to the power m, times (l + m)! / (l - m)! / 2^m m!."""
+    from xcg.analysis.bond_order import _waves
+
+    angle = 1e-9
+    for degree in (1, 6):
+        for m, wave in enumerate(_waves(degree, np.array([[angle, 0.0, 1.0]]))):
+            ratio = math.factorial(degree + m) / math.factorial(degree - m)
+            expected = math.sqrt(ratio * (2 if m else 1)) * (-angle / 2) ** m / math.factorial(m)
+            np.testing.assert_allclose(wave, [expected], rtol=1e-14)
 
 
 def test_crystals_have_the_values_of_the_literature():

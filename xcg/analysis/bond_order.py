@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -238,26 +238,41 @@ class BondOrder(FrameAnalysis):
         return np.repeat(np.arange(len(position)), count), bond.reshape(-1, 3)
 
 
-def _waves(degree: int, bond: NDArray) -> list[NDArray]:
-    """Return exp(i l phi) of bonds in a plane, or else spherical harmonics Y_lm, m = 0 ... l.
+def _waves(degree: int, bond: NDArray) -> Iterator[NDArray]:
+    """Yield exp(i l phi) of bonds in a plane, or else spherical harmonics Y_lm, m = 0 ... l.
 
     They are scaled so that `_length` is the bond order: values at -m have the same length, and count
     by a factor of sqrt(2).
     """
+    length = np.linalg.norm(bond, axis=1, keepdims=True)
+    unit = np.divide(bond, length, out=np.zeros(bond.shape), where=length > 0)
+    across = unit[:, 0] + 1j * unit[:, 1]
     if bond.shape[1] == 2:
-        return [np.exp(1j * degree * np.arctan2(bond[:, 1], bond[:, 0]))]
-    from scipy.special import lpmv
-
-    length = np.linalg.norm(bond, axis=1)
-    cosine = np.divide(bond[:, 2], length, out=np.zeros(len(bond)), where=length > 0)
-    turn = np.arctan2(bond[:, 1], bond[:, 0])
-    waves = []
+        yield across**degree
+        return
+    cosine = np.ascontiguousarray(unit[:, 2])
+    power = np.ones(len(bond), complex)
     for m in range(degree + 1):
         scale = math.factorial(degree - m) / math.factorial(degree + m)
         if m:
             scale *= 2
-        waves.append(math.sqrt(scale) * lpmv(m, degree, cosine) * np.exp(1j * m * turn))
-    return waves
+        yield math.sqrt(scale) * _legendre(m, degree, cosine) * power
+        power *= across
+
+
+def _legendre(m: int, degree: int, cosine: NDArray) -> NDArray:
+    """Return the associated Legendre function P_l^m over sin^m, with the sign (-1)^m.
+
+    From P_m^m up by (l - m) P_l = (2l - 1) cos P_(l-1) - (l + m - 1) P_(l-2), Abramowitz & Stegun
+    (1964), 8.5.3.
+    """
+    below = np.zeros(len(cosine))
+    values = np.full(len(cosine), float(math.prod(range(-1, -2 * m, -2))))
+    for n in range(m + 1, degree + 1):
+        below *= -(n + m - 1) / (n - m)
+        below += (2 * n - 1) / (n - m) * cosine * values
+        below, values = values, below
+    return values
 
 
 def _length(means: NDArray) -> NDArray:
