@@ -342,6 +342,10 @@ TABLE = [
         "test_errors_of_the_kinetic_stress_are_those_of_averages_without_each_step",
     ),
     Mutation(
+        "fields/computed_step.py", "slope = float(x @ v) / squares", "slope = float(x @ v)",
+        "test_a_compressed_box_holds_the_flow_of_its_images",
+    ),
+    Mutation(
         "fields/formulas/averages.py", 'sums["velocity/shift"] - weight * mean', 'sums["velocity/shift"]',
         "test_the_flux_of_a_phase_in_an_average_is_relative_to_the_averaged_velocity_of_the_bulk",
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from itertools import product
 
 import numpy as np
@@ -343,6 +344,59 @@ def test_rates_follow_from_the_tilt_of_steps_and_flips_do_not_count():
         xcg.scene_from_arrays(
             position[:3], box=BOX, periodic="xyz", lattice={"xy": [0.0, 0.4, 0.8]}
         )
+
+
+@pytest.mark.parametrize("nodes", [{"spacing": 1.5}, {"axes": "z"}, {"axes": ""}])
+def test_a_compressed_box_holds_the_flow_of_its_images(nodes):
+    rate = np.array([-0.1, 0.0, -0.2])
+    place = np.random.default_rng(4).uniform(0, 6.0, (400, 3))
+    time = np.array([0.0, 1.0])
+    length = 6.0 * (1 + rate * time[:, None])
+    position = place * length[:, None] / 6.0
+    scene = {
+        "position": position,
+        "velocity": np.broadcast_to(place * rate, position.shape),
+        "diameter": np.ones((2, 400)),
+        "density": 1.0,
+        "time": time,
+        "box": np.stack([0 * length, length], axis=-1),
+        "periodic": "xyz",
+        "units": "reduced",
+    }
+    names = ["velocity_gradient", "granular_temperature"]
+    relative = (6.0 / length * rate).T
+    ds = xcg.scene_from_arrays(
+        **scene, shear_rate=dict(zip(("xx", "yy", "zz"), relative, strict=True))
+    )
+    f = ds.cg.coarse_grain(names, for_averages=False, **nodes)
+    expected = relative.T[:, :, None] * np.eye(3)
+    of_nodes = f.velocity_gradient.transpose("time", "component", "direction", ...).to_numpy()
+    of_nodes = of_nodes.reshape(2, 3, 3, -1)
+    known = np.isfinite(of_nodes)
+    np.testing.assert_allclose(
+        np.where(known, of_nodes - expected[..., None], 0.0), 0.0, atol=1e-12
+    )
+    assert known.mean() > 0.9
+    assert float(f.granular_temperature.max()) < 1e-15
+    with pytest.warns(SceneWarning, match="move with the box.*along x and z.*'xx': -0.1.*'zz'"):
+        xcg.scene_from_arrays(**scene).cg.coarse_grain(names, **nodes)
+    scene["velocity"] = np.random.default_rng(5).normal(size=position.shape)
+    with warnings.catch_warnings():  # of grains that do not follow it, as after remap x
+        warnings.filterwarnings("error", message=".*move with the box")
+        xcg.scene_from_arrays(**scene).cg.coarse_grain(names, **nodes)
+
+
+def test_averages_of_a_sheared_layer_do_not_warn():
+    rng = np.random.default_rng(6)
+    position = np.pad(rng.uniform(0, 6.0, (60, 2)), ((0, 0), (0, 1)))
+    ds = xcg.scene_from_arrays(
+        position, velocity=0.2 * position[:, [1, 0, 2]] * [1, 0, 0], diameter=np.ones(60),
+        density=1.0, box={"x": (0, 6), "y": (0, 6)}, periodic="xy", lattice={"xy": 0.0},
+        shear_rate={"xy": 0.2}, dimension=2, thickness=1.0, units="reduced",
+    )  # fmt: skip
+    f = ds.cg.coarse_grain(["velocity_gradient"], axes="y")
+    shear = f.velocity_gradient.sel(component="x", direction="y")
+    np.testing.assert_allclose(shear, 0.2, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import warn_once
@@ -21,6 +22,7 @@ from xcg.fields.plan import Plan
 from xcg.fields.support import length_along, support_of
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, PADDING
+from xcg.scene.times import times_are_known
 
 Warnings: TypeAlias = Iterator[tuple[str, str]]
 
@@ -46,10 +48,33 @@ def advise_on_steps(scene: Scene, plan: Plan, *, named: bool) -> None:
     leave this advice out.
     """
     plan.named = named
+    if "velocity" in plan.variables:
+        plan.stretch = _stretch_of(scene)
     if _depends_on_support(plan):
         plan.support = support_of(scene, plan)
     if plan.undercut is None:  # else `advise` has warned of the cause
         _warn(_OF_STEPS, scene, plan)
+
+
+def _stretch_of(scene: Scene) -> NDArray | None:
+    """Return the least and largest rates (3, 2) of a periodic box whose length changes; None where none do.
+
+    Images that move are those of a box whose rates were given.
+    """
+    ds = scene.ds
+    box = scene.columns.get("box")
+    moves = "lattice_velocity" in scene.columns
+    if box is None or moves or not scene.setup.periodic or "time" not in box.dims:
+        return None
+    if not is_in_memory(box) or len(box) < 2 or not times_are_known(ds):
+        return None
+    lengths = np.diff(box.to_numpy(), axis=-1)[..., 0]
+    periodic = [axis in scene.setup.periodic for axis in COMPONENTS]
+    lengths = np.where(periodic, lengths, 1.0)
+    if (lengths == lengths[0]).all():
+        return None
+    rates = np.diff(np.log(lengths), axis=0) / np.diff(ds["time"].to_numpy())[:, None]
+    return np.stack([rates.min(axis=0), rates.max(axis=0)], axis=1)
 
 
 def _warn(advice: Iterable[Callable[[Scene, Plan], Warnings]], scene: Scene, plan: Plan) -> None:

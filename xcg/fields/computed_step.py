@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,6 +23,8 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame
 
 _CONSIDERABLE = 0.05  # share of the pressure
+_ALIKE = 0.3  # difference of a slope of the velocities from the rate of the box
+_SURE = 5.0  # standard errors of such a slope
 # Share of a temperature along a period: waves of a homogeneous flow are fluctuations, and vary by half of it.
 _ALONG_PERIOD = 0.6
 
@@ -77,6 +80,8 @@ class ComputedStep:
         # extent=1 m asks for an integral in place of an average: no warning
         if "volume_fraction" in self.fields and 1.0 not in plan.extent.values():
             effects |= self._fraction()
+        if plan.stretch is not None and call.is_new("stretch"):
+            self._warn_of_moving_edges(plan.stretch)
         if plan.support is not None and call.is_new("pressures"):
             effects |= self._lost_stress()
             effects |= self._lost_flux()
@@ -177,6 +182,33 @@ class ComputedStep:
             "thickness=), are not right",
         )
         return {}
+
+    def _warn_of_moving_edges(self, stretch: NDArray) -> None:
+        """Warn where the grains move with a box that changes its length, and their images are taken to be at rest."""
+        position = self.frame["position"]
+        velocity = self.frame["velocity"]
+        rates = {}
+        for k, axis in enumerate(COMPONENTS):
+            x = position[:, k] - position[:, k].mean()
+            v = velocity[:, k] - velocity[:, k].mean()
+            squares = float(x @ x)
+            if not stretch[k].any() or not squares > 0:
+                continue
+            slope = float(x @ v) / squares
+            error = math.sqrt(float(((v - slope * x) ** 2).mean()) / squares)
+            of_box = float(np.clip(slope, *stretch[k]))
+            if abs(slope - of_box) < _ALIKE * abs(slope) and abs(slope) > _SURE * error:
+                rates[axis] = of_box
+        if rates:
+            axes = " and ".join(rates)
+            named = ", ".join(f"'{2 * axis}': {rate:.3g}" for axis, rate in rates.items())
+            warn_once(
+                "moving edges",
+                f"{self.source}: the grains move with the box, whose length changes along {axes}, and their images are "
+                "taken to be at rest: velocities jump at its edges, gradients lack this motion where these axes are "
+                "averaged, and temperatures contain it. Name its rates, a number or one for each step: "
+                f"shear_rate={{{named}}} in open_scene or scene_from_arrays",
+            )
 
     def _lost_stress(self) -> dict[str, str]:
         """Return how much of the pressure the kinetic stress lacks; warn if it adds what is no fluctuation.

@@ -100,6 +100,9 @@ class Plan:
         Whether the fields were asked for by name.
     support : Support, optional
         Effective numbers of a node, where fields of single steps depend on them and they are known.
+    stretch : array (3, 2), optional
+        Least and largest rate at which the box changes its length along each axis (s-1), where it
+        does and its images are taken to be at rest.
     walls : str, optional
         What the accessible fraction takes. Measured by `explain` alone.
 
@@ -131,6 +134,7 @@ class Plan:
     floors: str | None = None
     named: bool = False
     support: Support | None = None
+    stretch: NDArray | None = None
     walls: str | None = None
 
     def __post_init__(self) -> None:

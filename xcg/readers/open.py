@@ -118,7 +118,8 @@ def open_scene(
         0.01}``, in the files' unit of length, in place of the headers' (see
         `xcg.scene_from_arrays`). In boxes of Lees & Edwards the tilt is the offset of the images.
     shear_rate : mapping, optional
-        Velocity gradients of the images: ``{"xy": 0.1}`` is dv_x/dy (s-1; a number, or one a step).
+        Velocity gradients of the images: ``{"xy": 0.1}`` is dv_x/dy (s-1; a number, or one a step),
+        ``{"xx": -0.1}`` that of a box that is compressed along x with its grains.
         By default the rate at which tilts change from step to step, which is right where particles
         that leave a sheared box change their velocity (LAMMPS: ``fix deform ... remap v``); ``{}``
         for images of equal velocity (``remap x``).

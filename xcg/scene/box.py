@@ -18,6 +18,7 @@ from xcg.scene.schema import COMPONENTS, Frame
 _BOX_FORMS = "six numbers as [[x0, x1], [y0, y1], [z0, z1]], or a mapping {'x': (x0, x1), ...}"
 _TILT_FORMS = "the vectors a, b, c as an array (3, 3), one such array a step, or tilts such as {'xy': 0.01} (m)"
 _SHEARS = tuple(i + j for i in COMPONENTS for j in COMPONENTS if i != j)
+_STRETCHES = tuple(2 * i for i in COMPONENTS)
 # Steps of a random walk are wrapped where some reach a half of the period: many a quarter, or one nearly a half.
 _LARGE_SHARE = 0.25
 _FEW = 0.01  # of the grains may move by more than a quarter
@@ -62,7 +63,8 @@ def domain_of(
         are shifted along x.
     shear_rate : mapping, optional
         Rates by name (s-1), a number or one a step: "xy" is how much faster images one length up y
-        move along x. By default the rates at which the tilts change from step to step.
+        move along x, "xx" that of images along x. By default the rates at which the tilts change
+        from step to step.
     periodic : str
         Periodic axes.
     steps : int
@@ -87,19 +89,23 @@ def domain_of(
     edges = _edges(box, steps) * unit
     domain = {"box": edges}
     if lattice is None:
-        if shear_rate and any(np.any(rate) for rate in shear_rate.values()):
+        rates_of_boxes = dict(shear_rate or {})
+        shears = [name for name, rate in rates_of_boxes.items() if name in _SHEARS and np.any(rate)]
+        if shears:
             raise SceneError(
-                f"shear_rate={dict(shear_rate)!r}: where images are, along the shear, is not known from edges; give "
-                f"the tilt at each step as well: lattice={{{next(iter(shear_rate))!r}: tilts}}, in Lees-Edwards boxes "
+                f"shear_rate={rates_of_boxes!r}: where images are, along the shear, is not known from edges; give "
+                f"the tilt at each step as well: lattice={{{shears[0]!r}: tilts}}, in Lees-Edwards boxes "
                 "the offset of the images"
             )
-        return domain
+        if not rates_of_boxes:
+            return domain
+        lattice = {}
     vectors = _vectors(edges, lattice, periodic, unit)
     if shear_rate is None:
         rates = _rates(vectors, periodic, time)
     else:  # the transposed gradient; images along axes without edges do not exist
         rates = np.where(np.isinf(vectors), 0.0, vectors) @ _entries(
-            len(edges), shear_rate, "shear_rate"
+            len(edges), shear_rate, "shear_rate", (*_SHEARS, *_STRETCHES)
         )
     axes = [COMPONENTS.index(a) for a in periodic]
     tilted = _tilts(vectors)[:, axes].any()
@@ -110,14 +116,16 @@ def domain_of(
     return domain
 
 
-def _entries(steps: int, entries: Mapping[str, ArrayLike], name: str) -> NDArray:
+def _entries(
+    steps: int, entries: Mapping[str, ArrayLike], name: str, keys: Sequence[str] = _SHEARS
+) -> NDArray:
     """Matrices (t, 3, 3) of numbers such as {"xy": value}, in row y and column x."""
     wrong = {repr(entries)}
     if isinstance(entries, Mapping):
-        wrong = set(entries) - set(_SHEARS)
+        wrong = set(entries) - set(keys)
     if wrong:
         raise SceneError(
-            f"{name} names {sorted(wrong)}: expected a mapping from {', '.join(_SHEARS)} to numbers"
+            f"{name} names {sorted(wrong)}: expected a mapping from {', '.join(keys)} to numbers"
         )
     out = np.zeros((steps, 3, 3))
     for key, values in entries.items():

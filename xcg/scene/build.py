@@ -206,9 +206,9 @@ def scene_from_arrays(
         step): how far images along y are shifted along x, in boxes of Lees & Edwards the offset of
         the images.
     shear_rate : mapping, optional
-        Velocity gradients of the images: ``{"xy": 0.1}`` is dv_x/dy (s-1; a number, or one a step).
-        By default the rate at which tilts change from step to step; ``{}`` for images of equal
-        velocity.
+        Velocity gradients of the images: ``{"xy": 0.1}`` is dv_x/dy (s-1; a number, or one a step),
+        ``{"xx": -0.1}`` that of a box that is compressed along x. By default the rate at which
+        tilts change from step to step; ``{}`` for images of equal velocity.
     gravity : three floats, optional
         Acceleration of gravity (m s-2).
     dimension : {2, 3}

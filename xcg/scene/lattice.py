@@ -329,7 +329,8 @@ class Lattice:
         """Middle of the box (3,), 0 along axes where it is not finite (m)."""
         if self.edges is None:
             return np.zeros(3)
-        return np.where(np.isfinite(self.edges).all(axis=1), self.edges.mean(axis=1), 0.0)
+        finite = np.isfinite(self.edges).all(axis=1, keepdims=True)
+        return np.where(finite, self.edges, 0.0).mean(axis=1)
 
     def _along(self, active: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Return the vectors, their rates, and which of them some axes (3,) distinguish.
