@@ -9,9 +9,6 @@ import pytest
 import xcg
 from tests.dumps import dump_text, pairs_text, write
 from tests.scenes import spheres
-from xcg.scene import complete
-from xcg.scene.lattice import Lattice
-from xcg.scene.schema import Setup
 
 EDGE = 1.45
 
@@ -192,46 +189,6 @@ def test_spheres_without_a_body_touch_each_other():
         [[0.0, 0, 0], [0.9, 0, 0]], diameter=np.ones(2), density=1.0, body_id=[-1, -1]
     )
     assert ds.cg.find_contacts().sizes["contact"] == 1
-
-
-@pytest.mark.parametrize("periodic", ["", "x", "xy", "xyz"])
-@pytest.mark.parametrize("seen", [False, True])
-def test_fast_and_careful_contact_points_agree(periodic, seen, monkeypatch):
-    """A loop derives points up to a pair in doubt; NumPy derives, or refuses, those of its block: the same bits."""
-    rng = np.random.default_rng(len(periodic))
-    plain = []
-    for edge in np.geomspace(1.5, 30.0, 40):
-        position = rng.uniform(0.0, edge, (20, 3))
-        diameter = rng.uniform(0.3, 1.5, 40)
-        position = np.concatenate(
-            [position, (position + rng.normal(scale=0.5, size=(20, 3))) % edge]
-        )
-        i, j = np.arange(40).reshape(2, 20)
-        box = np.array([[0.0, edge]] * 3)
-        lattice = Lattice.of({"box": box}, periodic)
-        given = {"contact_i": i, "contact_j": j, "contact_force": rng.normal(size=(20, 3))}
-        if seen:
-            given["contact_branch"] = lattice.shortest(position[i] - position[j]) * rng.uniform(
-                0.8, 1.2, (20, 1)
-            )
-        particles = {"particle_id": np.arange(40), "position": position, "diameter": diameter}
-        found = []
-        for closer in (False, True):
-            with monkeypatch.context() as only:
-                if closer:
-                    only.setattr(complete, "_plain_points", lambda *_: None)
-                try:
-                    points = complete.complete_contacts(
-                        given, particles, lattice, Setup.make(), "box"
-                    )["contact_point"]
-                    found.append(points.tobytes())
-                except xcg.SceneError as error:
-                    found.append(str(error))
-        assert found[0] == found[1]
-        rows = given["contact_i"], given["contact_j"], given.get("contact_branch")
-        plain.append(complete._plain_points(particles, *rows, lattice) is not None)
-    assert any(plain)
-    assert not periodic or seen or not all(plain)
 
 
 @pytest.mark.parametrize("name", ["particle_id", "species"])

@@ -82,7 +82,9 @@ def packing():
 
 @pytest.mark.parametrize("shuffled", [False, True], ids=["sorted", "shuffled"])
 def test_a_scene_is_built_in_little_more_memory_than_it_takes(packing, shuffled, monkeypatch):
-    monkeypatch.setattr("xcg.scene.complete._BLOCK", 256)  # contact points are derived in blocks
+    monkeypatch.setattr(
+        "xcg.scene.contact_points._BLOCK", 256
+    )  # contact points are derived in blocks
     names = [
         "particle_id",
         "position",

@@ -12,8 +12,8 @@ from xcg.analysis.pairs import PairMethod, check_search, pairs_of
 from xcg.common.checks import POSITIVE, above, check, whole
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import threads_for
-from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import takes_scene
+from xcg.scene.contact_points import REPEAT, contact_points
 from xcg.scene.frame import require_steps
 from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.scene import Scene

@@ -19,7 +19,7 @@ from xcg.common.messages import SceneError
 from xcg.readers.paths import units_of_system
 from xcg.readers.wall_columns import WALL_ARRAY, WALL_CONTACTS
 from xcg.scene.build import scene_from_arrays
-from xcg.scene.complete import contact_points
+from xcg.scene.contact_points import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls
 from xcg.scene.frame import rows_of
 from xcg.scene.schema import COMPONENTS

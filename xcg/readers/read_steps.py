@@ -14,7 +14,8 @@ from xcg.common.messages import Once, SceneError, warn_once
 from xcg.compiled._jit import THREADS
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
-from xcg.scene.complete import HINTS, complete_contacts, complete_particles
+from xcg.scene.complete import complete_particles
+from xcg.scene.complete_contacts import HINTS, complete_contacts
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity_contacts import check_ends, is_central

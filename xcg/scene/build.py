@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.messages import Once, SceneError, did_you_mean
 from xcg.scene.box import domain_of
-from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
+from xcg.scene.complete import complete_particles
+from xcg.scene.complete_contacts import complete_contacts
 from xcg.scene.conform import storable
 from xcg.scene.facts import SETUP, setup_of
 from xcg.scene.frame import stack
@@ -35,6 +36,7 @@ from xcg.scene.schema import (
 )
 from xcg.scene.sizes import measure_frames
 from xcg.scene.times import check_times, times_given
+from xcg.scene.typed import refuse_mask
 
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 
