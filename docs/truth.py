@@ -23,6 +23,7 @@ PICTURE = Path(__file__).parent / "_static" / "truth.png"
 WIDTHS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 DEFAULT = 0.75
 CLOSE = 0.05
+GROUPS = 8  # of steps, that are left out in turn
 WAYS = ("one step", "average")
 
 
@@ -44,10 +45,10 @@ class Row:
         "one step", or "average" over all steps.
     value : float
         Mean of the field over its mean truth; the value itself where the truth is zero.
-    deviation : float
-        (value - truth) over the truth, or over the scale where that is zero.
     unbiased : float
         As `value`, of an average less its bias; NaN where it has none.
+    uncertainty : float
+        Standard error of `unbiased` or `value`, from the scatter over the steps.
     within : float
         Share of the nodes whose value, less its bias, is within two of its errors; NaN where it has
         none.
@@ -61,45 +62,77 @@ class Row:
     width: float
     way: str
     value: float
-    deviation: float
     unbiased: float
+    uncertainty: float
     within: float
     said: str
 
     @property
+    def best(self) -> float:
+        """The value less its bias, where that is known."""
+        return self.value if np.isnan(self.unbiased) else self.unbiased
+
+    @property
     def error(self) -> float:
-        """Deviation of the value, less its bias where that is known, relative to the truth or the scale."""
-        if np.isnan(self.unbiased):
-            return self.deviation
+        """Deviation of the best value, relative to the truth or the scale."""
+        return _relative(self.truth, self.best)
+
+    @property
+    def excess(self) -> float:
+        """Modulus of the error less two uncertainties, 0 where it is within these."""
+        scatter = 2 * self.uncertainty
         if self.truth.scale is not None:
-            return self.unbiased / self.truth.scale
-        return self.unbiased - 1.0
+            scatter /= self.truth.scale
+        return max(abs(self.error) - scatter, 0.0)
+
+
+def _relative(truth: Truth, value: float) -> float:
+    """Return the deviation from 1, or over the scale where the truth is zero."""
+    if truth.scale is not None:
+        return value / truth.scale
+    return value - 1.0
+
+
+def _mean_of(truth: Truth, values: xr.DataArray, true: xr.DataArray) -> float:
+    """Return the mean over the nodes, over that of the truth where it is not zero."""
+    if truth.scale is not None:
+        return float(values.mean())
+    return float((values * true).sum() / (true.where(values.notnull()) ** 2).sum())
+
+
+def best_of(truth: Truth, f: xr.Dataset) -> float:
+    """Return the mean of a field over nodes and steps, as in `Row`, less its bias where that is known."""
+    values = truth.of(f)
+    assert values is not None
+    bias = truth.of(f, "_bias")
+    if bias is not None:
+        values = values - bias.fillna(0.0)
+    return _mean_of(truth, values, xr.zeros_like(values) + truth.at(f))
 
 
 def compare(
-    system: str, truth: Truth, f: xr.Dataset, mesh: str, width: float, way: str, texts: str
+    system: str,
+    truth: Truth,
+    f: xr.Dataset,
+    mesh: str,
+    width: float,
+    way: str,
+    texts: str,
+    parts: Sequence[xr.Dataset],
 ) -> Row:
-    """Compare one field of a result with its truth."""
+    """Compare one field of a result with its truth; `parts` are results without each of some groups of steps."""
     values = truth.of(f)
     assert values is not None
     true = xr.zeros_like(values) + truth.at(f)
     known = values.notnull()
-
-    def mean_of(of: xr.DataArray) -> float:
-        """Return the mean over the nodes, over that of the truth where it is not zero."""
-        if truth.scale is not None:
-            return float(of.mean())
-        return float((of * true).sum() / (true.where(known) ** 2).sum())
-
-    value = mean_of(values)
-    deviation = value - 1.0
-    if truth.scale is not None:
-        deviation = value / truth.scale
+    value = _mean_of(truth, values, true)
     bias = truth.of(f, "_bias")
     unbiased = np.nan
     if bias is not None:
         values = values - bias.fillna(0.0)
-        unbiased = mean_of(values)
+        unbiased = _mean_of(truth, values, true)
+    scatter = np.std([best_of(truth, part) for part in parts])
+    uncertainty = float(scatter * np.sqrt(len(parts) - 1))
     error = truth.of(f, "_error")
     within = np.nan
     if error is not None and bool(error.notnull().any()):
@@ -112,7 +145,7 @@ def compare(
         said = "warning"
     elif float(known.mean()) < 0.5:
         said = "NaN"
-    return Row(system, truth, mesh, width, way, value, deviation, unbiased, within, said)
+    return Row(system, truth, mesh, width, way, value, unbiased, uncertainty, within, said)
 
 
 def measure(
@@ -137,26 +170,39 @@ def measure(
             with warnings.catch_warnings(record=True) as of_average:
                 warnings.simplefilter("always")
                 mean = f.cg.time_average()
+            parts = _without_groups(f)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                means = [part.cg.time_average() for part in parts]
             for truth in system.truths:
-                for way, result, caught in (
-                    (WAYS[0], f, of_steps),
-                    (WAYS[1], mean, of_average),
+                for way, result, caught, some in (
+                    (WAYS[0], f, of_steps, parts),
+                    (WAYS[1], mean, of_average, means),
                 ):
                     texts = " ".join(str(warning.message) for warning in caught)
-                    yield compare(system.name, truth, result, mesh, width, way, texts)
+                    yield compare(system.name, truth, result, mesh, width, way, texts, some)
+
+
+def _without_groups(f: xr.Dataset) -> list[xr.Dataset]:
+    """Return a result without each of some groups of its steps, which are independent of each other."""
+    steps = np.arange(f.sizes["time"])
+    groups = min(GROUPS, len(steps))
+    return [f.isel(time=steps % groups != group) for group in range(groups)]
 
 
 # --- the page ------------------------------------------------------------------------------------
 
 
 def _number(row: Row) -> str:
-    text = f"{row.value:.2f}"
     if np.isnan(row.value):
-        text = "NaN"
-    elif abs(row.deviation) > CLOSE:
+        return "NaN"
+    text = f"{row.best:.2f}"
+    if row.excess > CLOSE:
         text = f"**{text}**"
+    if row.uncertainty > 0.005:
+        text += f" ± {row.uncertainty:.2f}"
     if abs(row.unbiased - row.value) > 0.005:
-        text += f", {row.unbiased:.2f}"
+        text = f"{row.value:.2f}, {text}"
     if np.isfinite(row.within):
         text += f" ({100 * row.within:.0f} %)"
     if row.said == "warning":
@@ -165,10 +211,10 @@ def _number(row: Row) -> str:
 
 
 def _from_width(rows: Sequence[Row]) -> str:
-    """Return the longest range of widths at which a field is close to its truth."""
+    """Return the longest range of widths at which a field is not shown to be beyond 5 % of its truth."""
     runs: list[list[float]] = [[]]
     for row in rows:
-        if abs(row.error) <= CLOSE:
+        if row.excess <= CLOSE:
             runs[-1].append(row.width)
         else:
             runs.append([])
@@ -248,7 +294,7 @@ def draw(rows: Sequence[Row]) -> None:
                 if row.way != way:
                     continue
                 column = columns.index((row.mesh, row.width))
-                table[k, column] = abs(row.error)
+                table[k, column] = row.excess
                 if row.said == "warning":
                     ax.plot(column, k, "k.", ms=3)
         image = ax.imshow(
@@ -274,7 +320,7 @@ def draw(rows: Sequence[Row]) -> None:
     labels = [f"{system}: {label.replace('`', '')}" for system, label in groups]
     axes[0].set_yticks(range(len(groups)), labels, fontsize=8)
     bar = figure.colorbar(image, ax=axes, ticks=edges[:-1], pad=0.01)
-    bar.set_label("|value - truth| over the truth")
+    bar.set_label("|value - truth| less two uncertainties, over the truth")
     bar.ax.set_yticklabels([f"{100 * edge:g} %" for edge in edges[:-1]])
     figure.savefig(PICTURE, dpi=110)
     plt.close(figure)
@@ -294,7 +340,7 @@ def main() -> None:
         for row in rows:
             print(
                 f"{row.system} | {row.truth.label} | {row.mesh} | {row.width:g} | {row.way} | {row.value:.4g} | "
-                f"{100 * row.deviation:+.1f} % | {row.unbiased:.4g} | {row.within:.2f} | {row.said}"
+                f"{100 * row.error:+.1f} % | {row.unbiased:.4g} | {row.uncertainty:.3g} | {row.within:.2f} | {row.said}"
             )
     for way in WAYS:
         print(f"\n{way}\n{table_of_values(rows, way)}")

@@ -531,12 +531,12 @@ def _column() -> System:
 
 def _packing() -> System:
     truths = [
-        *(Truth(name, value) for name, value in of_packing().items()),
+        *(Truth(name, value) for name, value in of_packing(steps=16).items()),
         Truth("friction_coefficient", 0.0, scale=MU),
         Truth("contact_anisotropy", 0.0, scale=SMALL),
         Truth("normal_force_anisotropy", 0.0, scale=SMALL),
     ]
-    return System("isotropic packing", packing, truths)
+    return System("isotropic packing", lambda: packing(steps=16), truths)
 
 
 def _couette() -> System:

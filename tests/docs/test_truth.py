@@ -48,7 +48,7 @@ def test_averages_less_their_bias_are_within_two_errors(rows):
 def test_values_of_single_steps_far_from_the_truth_are_warned_of(rows):
     for row in rows:
         is_floored = any(name in row.truth.name for name in FLOORED)
-        if row.way == "one step" and is_floored and abs(row.deviation) > 0.25:
+        if row.way == "one step" and is_floored and abs(row.error) > 0.25:
             assert row.said == "warning", row
 
 
@@ -64,7 +64,22 @@ def test_a_stress_that_holds_the_variation_of_the_flow_is_warned_of(rows):
         if row.truth.name == "kinetic_stress" and row.way == "one step":
             holds = row.system == "uniform shear"
             assert (row.said == "warning") == holds, row
-            assert (row.truth.part == "xx" and row.deviation > truth.CLOSE) <= holds
+            assert (row.truth.part == "xx" and row.error > truth.CLOSE) <= holds
+
+
+def test_uncertainties_are_the_scatter_of_the_steps():
+    """Of a mean over nodes and steps: that of eight pairs of steps over the square root of their number."""
+    (row,) = [
+        row
+        for row in rows_of("elastic gas", "plane", 1.0)
+        if row.way == "one step" and row.truth.name == "volume_fraction"
+    ]
+    (system,) = systems(["elastic gas"])
+    f = system.make().cg.coarse_grain("volume_fraction", width="1 d43", **system.nodes("plane"))
+    pairs = f.volume_fraction.mean(["x", "z"]).to_numpy().reshape(2, 8).mean(axis=0)
+    scatter = pairs.std(ddof=1) / 8**0.5 / row.truth.value
+    assert row.uncertainty == pytest.approx(scatter, rel=1e-6)
+    assert row.excess == max(abs(row.value - 1) - 2 * row.uncertainty, 0)
 
 
 def test_ranges_of_widths():
@@ -73,7 +88,7 @@ def test_ranges_of_widths():
         (about,) = system.truths
         return truth._from_width(
             [
-                truth.Row("", about, "volume", width, "one step", 1 + d, d, float("nan"), 1.0, "")
+                truth.Row("", about, "volume", width, "one step", 1 + d, float("nan"), 0.0, 1.0, "")
                 for width, d in zip(truth.WIDTHS, deviations, strict=True)
             ]
         )

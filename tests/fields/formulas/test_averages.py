@@ -903,12 +903,20 @@ def test_norms_that_are_more_noise_than_truth_warn_of_both_values(lazy):
 
 
 def test_norms_of_more_grains_are_silent():
-    ds = truths.contacts(16, 300, 6.0)
-    names = ["contact_anisotropy", "friction_coefficient"]
-    f = ds.cg.coarse_grain(names, axes="z", width=1.5, for_averages=True)
+    f = truths.contacts(16, 300, 6.0).cg.coarse_grain("contact_anisotropy", axes="z", width=1.5)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         f.cg.time_average()
+
+
+def test_small_norms_are_silent():
+    """mu of a gas is all noise, but little."""
+    f = truths.gas(64, side=6.0).cg.coarse_grain("friction_coefficient", axes="z", width=1.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mean = f.cg.time_average()
+    left = mean.friction_coefficient - mean.friction_coefficient_bias
+    assert float((left**2 < mean.friction_coefficient**2 / 2).mean()) > 0.5
 
 
 def test_bias_of_shear_rate_inertial_number_and_pressure_of_a_sheared_gas():

@@ -267,7 +267,7 @@ def _beside(
                 unsure, error = unsure_sign(mean, error, call)
                 bias = bias.where(~unsure)
             if row.is_norm:
-                bias = bias_of_norm(name, mean[name].variable, bias, call)
+                bias = bias_of_norm(name, row, mean[name].variable, bias, call)
             bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}
             beside[f"{name}_bias"] = bias
         beside[f"{name}_error"] = error

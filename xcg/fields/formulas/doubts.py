@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import Once, active_call, warn_once
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.block_errors import Jackknife
-from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR
 
 CHANCE = 0.0027  # of more than three standard errors
@@ -257,22 +257,30 @@ def _warned_of_sign(call: Once, errors: NDArray, share: NDArray) -> NDArray:
 _NOISY = 1 - math.sqrt(0.5)
 
 
-def bias_of_norm(name: str, norm: xr.Variable, bias: xr.Variable, call: Once) -> xr.Variable:
-    """Return the bias of an averaged norm; it warns if noise is more than half of the square at most nodes."""
+def bias_of_norm(
+    name: str, row: Field, norm: xr.Variable, bias: xr.Variable, call: Once
+) -> xr.Variable:
+    """Return the bias of an averaged norm, which warns if noise is more than half of its square at most nodes.
+
+    A mean bias that is small beside the field's usual value is silent.
+    """
     known = bias.notnull()
     count = known.sum().clip(1)
     share = (bias > _NOISY * norm).sum() / count
     mean = norm.where(known).sum() / count
     left = (norm - bias).sum() / count
     unit = norm.attrs.get("units", "1")
-    warn = partial(_warned_of_noise, call, name, "" if unit == "1" else f" {unit}")
+    least = 0.0 if row.floor_units else CONSIDERABLE_FLOOR * row.usual
+    warn = partial(_warned_of_noise, call, name, "" if unit == "1" else f" {unit}", least)
     return xr.apply_ufunc(warn, bias, share, mean, left, dask="parallelized", output_dtypes=[float])
 
 
-def _warned_of_noise(call: Once, name: str, unit: str, bias: NDArray, *numbers: NDArray) -> NDArray:
-    """Return the bias of a norm; warn if noise is more than half of its square at most nodes."""
+def _warned_of_noise(
+    call: Once, name: str, unit: str, least: float, bias: NDArray, *numbers: NDArray
+) -> NDArray:
+    """Return the bias of a norm; warn if it is considerable, and noise more than half of the square at most nodes."""
     share, mean, left = (float(np.max(number)) for number in numbers)
-    if share > 0.5:
+    if share > 0.5 and mean - left > least:
         call.warn(
             f"noise of {name}",
             f"time_average: {name} is {mean:.2g}{unit} in the mean of the nodes, {left:.2g}{unit} without its bias: "
