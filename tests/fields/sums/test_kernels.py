@@ -20,6 +20,7 @@ from xcg.compiled.lines import has_shells
 from xcg.compiled.polynomials import closed_for
 from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import SHELLS
+from xcg.fields.formulas.averages import second_moment
 from xcg.fields.sums.kernels import kernel_of
 from xcg.fields.sums.quadrature import gauss_limits
 
@@ -76,6 +77,17 @@ def test_kernels_and_marginals_integrate_to_one(name, dimension, seen):
         limit=200,
     )[0]
     assert total == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "dimension", "share"),
+    [("lucy", 3, 1 / 3), ("lucy", 2, 5 / 14), ("heaviside", 3, 1 / 5), ("heaviside", 2, 1 / 4)],
+)
+def test_second_moments_of_kernels_and_their_marginals(name, dimension, share):
+    """A parabola is smeared by half of its curvature times the second moment, which marginals keep."""
+    kernel = kernel_of(name, 0.7, {}, dimension)
+    for seen in range(1, dimension + 1):
+        assert second_moment(kernel, seen) == pytest.approx(share * 0.7**2, rel=1e-3)
 
 
 def test_constants_equal_those_of_the_theory_sheet():
