@@ -342,6 +342,10 @@ TABLE = [
         "test_errors_of_the_kinetic_stress_are_those_of_averages_without_each_step",
     ),
     Mutation(
+        "fields/formulas/floors.py", "of_contacts) / of_contacts", "of_contacts)",
+        "test_angles_of_contacts_whose_stress_and_fabric_have_one_axis",
+    ),
+    Mutation(
         "fields/computed_step.py", "slope = float(x @ v) / squares", "slope = float(x @ v)",
         "test_a_compressed_box_holds_the_flow_of_its_images",
     ),

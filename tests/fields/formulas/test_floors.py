@@ -99,6 +99,47 @@ def test_a_single_grain_has_the_largest_friction(dimension):
     np.testing.assert_allclose(floors.friction(support(1, dimension)), mu)
 
 
+def major_axes(tensors):
+    """Major axes of symmetric tensors."""
+    return np.linalg.eigh(tensors)[1][..., -1]
+
+
+def angles(axes, others):
+    """Mean angle of axes without direction."""
+    cosine = np.abs((axes * others).sum(axis=-1))
+    return np.arccos(np.minimum(cosine, 1.0)).mean()
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("number", [20, 100, 1000])
+def test_angles_of_contacts_whose_stress_and_fabric_have_one_axis(dimension, number):
+    """Of the usual mu: normal forces grow along the first axis; the strain rate is known."""
+    rng = np.random.default_rng(6)
+    n = rng.normal(size=(1000, number, dimension))
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    along = n[..., 0] ** 2 - 1 / dimension
+    of_fabric = {2: 0.1 / 4, 3: 0.1 / 7.5 / 1.5}[dimension]
+    uniaxial = np.diag([1.0] + [-1 / (dimension - 1)] * (dimension - 1))
+    force = rng.exponential(size=along.shape) * (1 + {2: 1.2, 3: 1.3}[dimension] * along)
+    stress = np.einsum("sn,sni,snj->sij", force, n, n)
+    mean = stress.mean(axis=0)[None]
+    assert friction(mean)[0] == pytest.approx(0.3, rel=0.1)
+    fabric = np.einsum("sni,snj->sij", n, n)
+    fabric += number * of_fabric * uniaxial
+    # a_c = 0.1
+    left = 1 - 2.0 / {2: 6.7, 3: 14.0}[dimension]
+    here = replace(support(number * left, dimension, partners=2.0), slope=0.0)
+    major = major_axes(stress)
+    floor = floors.stress_fabric_angle(here)
+    assert floor == pytest.approx(angles(major, major_axes(fabric)), rel=0.4)
+    floor = floors.stress_strain_rate_angle(here)
+    assert floor == pytest.approx(angles(major, np.eye(dimension)[0]), rel=0.4)
+    if dimension == 3:
+        low, middle, high = np.moveaxis(np.linalg.eigvalsh(stress), -1, 0)
+        lode = np.arctan2(np.sqrt(3) * (middle - low), 2 * high - middle - low).mean()
+        assert floors.lode_angle(here) == pytest.approx(lode, rel=0.4)
+
+
 def of_scene(ds, **options):
     """Support of a node of a scene, and the options."""
     scene = Scene(ds)

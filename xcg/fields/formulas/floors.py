@@ -1,4 +1,4 @@
-"""Floors: values of norms and eigenvalues in a single step of an isotropic state, where the true value is zero.
+"""Floors: values of norms and eigenvalues in a step of an isotropic state, and of angles, where the true value is zero.
 
 Of N independent directions n the deviator of <n n> has the mean square (1 - 1 / D) / N, and its
 components (5 in space, 2 in a plane) are normally distributed for large N. Grains of a gas carry
@@ -17,6 +17,10 @@ import math
 from xcg.fields.formulas.field import Support
 
 CONSIDERABLE_FLOOR = 0.2  # share of the usual value of a field
+USUAL_FRICTION = 0.3
+USUAL_INERTIAL_NUMBER = 0.1
+USUAL_ANISOTROPY = 0.1
+USUAL_ANGLE = 0.5  # rad
 
 # mean over root mean square of the norm of 2 and of 5 normal components, and the largest modulus of
 # an eigenvalue of a random deviator over its norm
@@ -75,6 +79,49 @@ def tangential_anisotropy(support: Support) -> float:
     d = support.dimension
     size = {2: 4.0 * math.sqrt(0.5), 3: 5.0 * math.sqrt(1.5)}[d]
     return size * _NORM[d] * support.tangential / math.sqrt(2 * support.contacts)
+
+
+# mean angle of the major axis of a tensor over the norm of its noise, relative to the norm of its
+# deviator, where noise is small; and the mean of axes at random
+_TURN = {2: 0.32, 3: 0.45}
+_AT_RANDOM = {2: math.pi / 4, 3: 1.0}
+_LODE = 0.59  # as _TURN, of the Lode angle
+
+
+def _limited(angle: float, largest: float) -> float:
+    """Return an angle that grows with noise as a smooth function up to the largest one."""
+    return largest * 2 / math.pi * math.atan(angle * math.pi / 2 / largest)
+
+
+def _turned(noise: float, dimension: int) -> float:
+    """Return by how much noise turns the major axis of a tensor, relative to its deviator."""
+    return _limited(_TURN[dimension] * noise, _AT_RANDOM[dimension])
+
+
+def lode_angle(support: Support) -> float:
+    """Return the Lode angle of triaxial compression with the usual mu."""
+    return _limited(_LODE * friction(support) / USUAL_FRICTION, math.pi / 6)
+
+
+def stress_fabric_angle(support: Support) -> float:
+    """Return the angle of stress and fabric along one axis, with the usual mu and anisotropy of contacts.
+
+    Contacts turn the fabric by their noise; where this is larger than the stress without it, they
+    turn both, but for the noise of the forces, of the same square.
+    """
+    d = support.dimension
+    of_contacts = friction(support) / math.sqrt(2)
+    of_fabric = contact_anisotropy(support) / USUAL_ANISOTROPY
+    of_others = math.hypot(USUAL_FRICTION, of_contacts) / of_contacts
+    return min(_turned(of_fabric, d), _turned(of_others, d))
+
+
+def stress_strain_rate_angle(support: Support) -> float:
+    """Return the angle of stress and strain rate along one axis, with the usual mu and shear rate."""
+    of_rate = shear_rate(support)
+    if support.is_dense:
+        of_rate = inertial_number(support) / USUAL_INERTIAL_NUMBER
+    return _turned(math.hypot(friction(support) / USUAL_FRICTION, of_rate), support.dimension)
 
 
 def order(support: Support) -> float:

@@ -175,6 +175,9 @@ ROWS: dict[str, Field] = {
         references="Lode 1926",
         compute=_lode_angle,
         fields=("stress",),
+        floor=floors.lode_angle,
+        usual=floors.USUAL_ANGLE,
+        floor_units="rad",
         default=False,
     ),
     "stress_strain_rate_angle": Field(
@@ -184,6 +187,9 @@ ROWS: dict[str, Field] = {
         references="Lätzel et al. 2000",
         compute=lambda f, s, o: _angle_of_major_axes(f.stress, -f.shear_rate_tensor, o),
         fields=("stress", "shear_rate_tensor"),
+        floor=floors.stress_strain_rate_angle,
+        usual=floors.USUAL_ANGLE,
+        floor_units="rad",
         default=False,
     ),
     "stress_fabric_angle": Field(
@@ -193,6 +199,9 @@ ROWS: dict[str, Field] = {
         references="Lätzel et al. 2000",
         compute=lambda f, s, o: _angle_of_major_axes(f.stress, f.contact_fabric, o),
         fields=("stress", "contact_fabric"),
+        floor=floors.stress_fabric_angle,
+        usual=floors.USUAL_ANGLE,
+        floor_units="rad",
         default=False,
     ),
     "friction_coefficient": Field(
@@ -202,7 +211,7 @@ ROWS: dict[str, Field] = {
         compute=lambda f, s, o: ratio(f.shear_stress, f.pressure),
         fields=("shear_stress", "pressure"),
         floor=floors.friction,
-        usual=0.3,
+        usual=floors.USUAL_FRICTION,
         is_norm=True,
     ),
     "inertial_number": Field(
@@ -212,7 +221,7 @@ ROWS: dict[str, Field] = {
         compute=_inertial_number,
         fields=("shear_rate", "pressure", "particle_density", "_size"),
         floor=floors.inertial_number,
-        usual=0.1,
+        usual=floors.USUAL_INERTIAL_NUMBER,
         is_norm=True,
     ),
     "fluidity": Field(
