@@ -60,10 +60,10 @@ class _Section:
     def __init__(self, path: Path, name: str, values: Mapping[str, str]) -> None:
         self.source = f"{path}: [{name}]"
         self.values = values
-        self.known: set[str] = set()
+        self.read: set[str] = set()
 
     def get(self, key: str) -> str | None:
-        self.known.add(key.lower())
+        self.read.add(key.lower())
         text = self.values.get(key, "").strip("'\"")
         if text.lower() in ("", "none"):
             return None
@@ -97,6 +97,15 @@ class _Section:
             raise SceneError(f"{self.source} lacks {key}")
         return text
 
+    def warn_of_unread(self) -> None:
+        """Warn of keys that nothing asked for."""
+        unread = [key for key in self.values if key not in self.read]
+        if unread:
+            warn_user(
+                f"{self.source}: unknown and left out: {', '.join(unread)}; known are "
+                f"{', '.join(sorted(self.read))}"
+            )
+
 
 _SECTIONS = (
     "paths",
@@ -112,35 +121,10 @@ _SECTIONS = (
 
 def read_ini(path: Path) -> Job:
     """Read a job from Pysammos's ``config.ini``; raise SceneError naming section and key."""
-    parser = configparser.ConfigParser(interpolation=None, inline_comment_prefixes=("#", ";"))
-    parser.read_dict({name: {} for name in _SECTIONS})  # so that all exist
-    try:
-        parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
-    except configparser.Error as error:
-        raise SceneError(f"{path}: {error}") from None
-    unknown = [name for name in parser.sections() if name not in _SECTIONS]
-    if unknown:
-        known = ", ".join(_SECTIONS)
-        warn_user(f"{path}: unknown sections {unknown} are left out; known are {known}")
-    sections = {name: _Section(path, name, parser[name]) for name in _SECTIONS}
-    paths = sections["paths"]
+    sections = _sections_of(path)
     scene = _scene(path, sections)
-    export = sections["fields_to_export"]
-    fields = [name for name in FAMILIES if export.flag(name)]
-    slices = None
-    if export.flag(SLICES):
-        slices = {"axis": "y"}
-    if not fields and slices is None:
-        choices = ", ".join((*FAMILIES, SLICES))
-        raise SceneError(f"{export.source}: nothing is True; switch on any of {choices}")
-    if "contacts" not in scene:
-        impossible = set(OF_CONTACTS)
-        if "coordination_number" in scene["names"].values():
-            impossible -= {"coordination_number"}
-        fields = [name for name in fields if name not in impossible]
-
+    fields, slices = _fields(sections["fields_to_export"], scene)
     kernel, label = _kernel(sections["smoothing_function"])
-    mesh = _mesh(sections["grid_info"])
     flags = sections["flags"]
     phases = None
     mixture = "Monodisperse"
@@ -148,31 +132,56 @@ def read_ini(path: Path) -> Job:
         phases = {"max_phases": 8}
         mixture = "Polydisperse"
     output = sections["output_options"]
-    vtkhdf = ""
     # the first is Pysammos's own spelling
-    if any([output.flag("vkthdf_output"), output.flag("vtkhdf_output")]):
-        vtkhdf = "steps"
+    has_vtkhdf = any([output.flag("vkthdf_output"), output.flag("vtkhdf_output")])
     job = Job(
         scene=scene,
         fields={"fields": fields, "preset": "pysammos"},
         phases=phases,
-        mesh={"kernel": kernel, **mesh},
+        mesh={"kernel": kernel, **_mesh(sections["grid_info"])},
         slices=slices,
-        folder=path.parent / (paths.get("output_path") or "PysammosCG"),
+        folder=path.parent / (sections["paths"].get("output_path") or "PysammosCG"),
         name=f"CG_{label}_{mixture}",
         netcdf=output.flag("h5_output"),
-        vtkhdf=vtkhdf,
+        vtkhdf="steps" if has_vtkhdf else "",
         suffix=".h5",
         on_error=flags.get("on_error") or "raise",  # type: ignore[arg-type]
     )
     for section in sections.values():
-        unread = [key for key in section.values if key not in section.known]
-        if unread:
-            known = ", ".join(sorted(section.known))
-            warn_user(
-                f"{section.source}: unknown and left out: {', '.join(unread)}; known are {known}"
-            )
+        section.warn_of_unread()
     return job
+
+
+def _sections_of(path: Path) -> dict[str, _Section]:
+    """Return all sections of the file, empty where it lacks them; warn of unknown ones."""
+    parser = configparser.ConfigParser(interpolation=None, inline_comment_prefixes=("#", ";"))
+    parser.read_dict({name: {} for name in _SECTIONS})
+    try:
+        parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
+    except configparser.Error as error:
+        raise SceneError(f"{path}: {error}") from None
+    unknown = [name for name in parser.sections() if name not in _SECTIONS]
+    if unknown:
+        expected = ", ".join(_SECTIONS)
+        warn_user(f"{path}: unknown sections {unknown} are left out; known are {expected}")
+    return {name: _Section(path, name, parser[name]) for name in _SECTIONS}
+
+
+def _fields(export: _Section, scene: Mapping[str, Any]) -> tuple[list[str], dict[str, str] | None]:
+    """Return the fields that are switched on and that the scene allows, and the options of slices, if any."""
+    fields = [name for name in FAMILIES if export.flag(name)]
+    slices = None
+    if export.flag(SLICES):
+        slices = {"axis": "y"}
+    if not fields and slices is None:
+        choices = ", ".join((*FAMILIES, SLICES))
+        raise SceneError(f"{export.source}: nothing is True; switch on any of {choices}")
+    impossible: set[str] = set()
+    if "contacts" not in scene:
+        impossible = set(OF_CONTACTS)
+        if "coordination_number" in scene["names"].values():
+            impossible -= {"coordination_number"}
+    return [name for name in fields if name not in impossible], slices
 
 
 def _kernel(section: _Section) -> tuple[str, str]:
