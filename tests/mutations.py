@@ -131,7 +131,7 @@ TABLE = [
         "readers/column_units.py", "2 * math.pi / 60", "math.pi / 60", "test_units_of_columns_have_factors_to_si",
     ),
     Mutation(
-        "readers/names.py", "return unit.factor", "return 1.0",
+        "readers/named_columns.py", "return unit.factor", "return 1.0",
         "test_units_in_names_are_converted_unless_units_are_given",
     ),
     Mutation(

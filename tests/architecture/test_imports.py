@@ -47,6 +47,8 @@ INSIDE = {
     "readers": [
         ["engine", "column_units"],
         ["names"],
+        ["named_columns"],
+        ["likely_names"],
         ["files", "cells", "caller_names"],
         ["filenames"],
         ["paths", "unread"],

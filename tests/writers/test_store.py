@@ -17,7 +17,7 @@ from tests import ROOT
 from tests.scenes import random_steps
 from xcg.writers import formats
 from xcg.writers.formats import hdf5_file, recover
-from xcg.writers.store import Mismatch
+from xcg.writers.interrupted import Mismatch
 
 SUFFIXES = [".nc", ".h5", ".zarr", ".vtkhdf"]
 STEPS = 6

@@ -33,16 +33,9 @@ from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import leftovers, lock_of, publish, work_folder
 from xcg.writers.formats import NETCDF
-from xcg.writers.store import (
-    Format,
-    Mismatch,
-    Output,
-    Parts,
-    StoreLayout,
-    joined,
-    write_file,
-    write_files,
-)
+from xcg.writers.interrupted import Mismatch
+from xcg.writers.store import Output, write_file, write_files
+from xcg.writers.store_layout import Format, Parts, StoreLayout, joined
 from xcg.writers.vtkhdf import VTKHDF
 
 _JOB = "job"  # attribute of the output: which job made it

@@ -11,6 +11,8 @@ from itertools import chain
 from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import source_of
+from xcg.readers.likely_names import aliases_of, resembles, words_of
+from xcg.readers.named_columns import columns_by_name, vector_of
 from xcg.readers.names import (
     ALL_SLOTS,
     CLOCK_SLOTS,
@@ -19,12 +21,7 @@ from xcg.readers.names import (
     CONTACTS,
     PARTICLES,
     Slots,
-    aliases_of,
     canonical,
-    columns_by_name,
-    resembles,
-    vector_of,
-    words_of,
 )
 from xcg.scene.schema import COMPONENTS, variable
 

@@ -26,17 +26,9 @@ from xcg.readers.assigned import (
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.table import Columns, read_table
 from xcg.readers.files.text import source_of
-from xcg.readers.names import (
-    CONTACT_SLOTS,
-    PARTICLE_SLOTS,
-    Slots,
-    canonical,
-    components,
-    factor_of,
-    slots_for,
-    vector_of,
-    words_of,
-)
+from xcg.readers.likely_names import words_of
+from xcg.readers.named_columns import factor_of, vector_of
+from xcg.readers.names import CONTACT_SLOTS, PARTICLE_SLOTS, Slots, canonical, components, slots_for
 from xcg.readers.report import warn_of_lost_motion, warn_of_missing_height
 from xcg.scene.schema import COMPONENTS, Frame
 

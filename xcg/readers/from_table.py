@@ -22,7 +22,7 @@ from xcg.readers.engines.tabular import (
     read_clock,
     warn_of_unread_clock,
 )
-from xcg.readers.names import columns_by_name
+from xcg.readers.named_columns import columns_by_name
 from xcg.readers.order import cause_by_column, warn_if_none_recurs
 from xcg.readers.report import check_plane, list_not_read, report_missing_ids, warn_of_columns
 from xcg.scene.box import domain_of

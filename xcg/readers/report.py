@@ -18,15 +18,9 @@ from xcg.readers.column_units import names_unknown_unit
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.files.vtkheader import OF_CELLS
-from xcg.readers.names import (
-    ALL_SLOTS,
-    CONTACT_SLOTS,
-    PARTICLE_SLOTS,
-    canonical,
-    powers_of_slot,
-    resembling,
-    vectors_among,
-)
+from xcg.readers.likely_names import resembling, vectors_among
+from xcg.readers.named_columns import powers_of_slot
+from xcg.readers.names import ALL_SLOTS, CONTACT_SLOTS, PARTICLE_SLOTS, canonical
 from xcg.readers.wall_columns import WALL_ARRAY
 from xcg.scene.schema import COMPONENTS
 

@@ -22,7 +22,8 @@ from xcg.common.checks import extra
 from xcg.compiled._jit import for_each
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import exclusive, reserve, whole_folder
-from xcg.writers.store import Format, Parts, StoreLayout, joined, lock_for
+from xcg.writers.store import lock_for
+from xcg.writers.store_layout import Format, Parts, StoreLayout, joined
 
 if TYPE_CHECKING:
     import h5py

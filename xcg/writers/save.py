@@ -15,7 +15,8 @@ from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target
 from xcg.writers.formats import NETCDF, ZARR
 from xcg.writers.paraview import write_pvd
-from xcg.writers.store import Format, Output, write_all
+from xcg.writers.store import Output, write_all
+from xcg.writers.store_layout import Format
 from xcg.writers.vtkhdf import VTKHDF
 
 

@@ -1,4 +1,4 @@
-"""Writing Datasets step by step, in one way for all formats, and continuing what was interrupted.
+"""Writing Datasets step by step, in one way for all formats.
 
 One task a chunk of time computes, encodes and writes all variables of it, and keeps none. So memory
 holds the chunks that are being worked on, every input file is parsed once, and a scheduler has one
@@ -8,209 +8,37 @@ may run in any process.
 
 from __future__ import annotations
 
-import json
-import math
-import os
 import sys
 import uuid
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
+from collections.abc import Generator, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import dask
 import numpy as np
 import xarray as xr
-from dask.base import get_scheduler, tokenize
+from dask.base import get_scheduler
 from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
 from dask.utils import SerializableLock
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError
-from xcg.compiled._jit import THREADS
-from xcg.scene.conform import storable
 from xcg.steps.faults import SKIPPED, SKIPS, listen_for_skips, skips_heard
 from xcg.steps.mapping import Gathered, count_tasks, shown
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import (
-    check_target,
-    is_published,
-    locked,
-    remove,
-    renamed_file,
-    signals_wait,
-    sync,
-    work_folder,
-)
+from xcg.writers.files import check_target, is_published, locked, signals_wait, sync, work_folder
+from xcg.writers.interrupted import Begun, Log, state_of
+from xcg.writers.store_layout import Format, Parts, Store, StoreLayout, joined
 
 if TYPE_CHECKING:
     import dask.array as da  # slow to import
 
-# variables by name: arrays with time first, one or more that follow each other
-Parts: TypeAlias = Mapping[str, Sequence[NDArray]]
 _WRITES = "write-"  # names of tasks that write begin like this
-
-
-class Store(Protocol):
-    """A file or folder that is laid out, and takes the values of some steps; tasks call it, so it must pickle."""
-
-    def __call__(self, parts: Parts, steps: slice) -> None:
-        """Write the values of these steps."""
-
-    def describe(self, attrs: Mapping[str, Any]) -> None:
-        """Add attributes that are known in the end."""
-
-
-@dataclass(frozen=True)
-class StoreLayout:
-    """A Dataset as it is written.
-
-    Attributes
-    ----------
-    ds : xarray.Dataset
-        What is written.
-    over : list of str
-        Numbers over time, which are written step by step.
-    encoding : Encoding
-        How they are stored.
-    steps : int
-        Steps in a chunk on disk.
-    """
-
-    ds: xr.Dataset
-    over: list[str]
-    encoding: Encoding
-    steps: int
-
-    @classmethod
-    def of(
-        cls,
-        ds: xr.Dataset,
-        encoding: Encoding,
-        together: Callable[[StoreLayout], int] | None = None,
-    ) -> StoreLayout:
-        """Prepare a Dataset; `together` chooses the steps in a chunk on disk, by default those in a chunk of it."""
-        ds = encoding.noted(storable(ds.drop_encoding()))
-        # texts and dates are left to xarray, which writes them as something else; coordinates in
-        # memory are small
-        over = [
-            str(name)
-            for name, v in ds.variables.items()
-            if v.dtype.kind in "biufc"
-            and "time" in v.dims
-            and v.size
-            and (name in ds.data_vars or v.chunks is not None)
-        ]
-        ds = ds.assign({name: ds.variables[name].transpose("time", ...) for name in over})
-        lazy_rest = {
-            name: v for name, v in ds.variables.items() if v.chunks is not None and name not in over
-        }
-        # at once, as one task computes all fields of a step
-        ds = ds.assign(dask.compute(lazy_rest)[0])
-        for name, data in ds.data_vars.items():
-            if name not in over and data.dtype.kind == "f":
-                reduced = encoding.reduced(data.to_numpy(), str(name))
-                ds = ds.assign({name: data.variable.copy(data=reduced)})
-        ds = _aligned(ds, over)
-        steps = max(
-            (ds.variables[name].chunksizes.get("time", (1,))[0] for name in over), default=1
-        )
-        layout = cls(ds, over, encoding, max(1, min(steps, ds.sizes.get("time", 1))))
-        if together is not None:
-            layout = replace(layout, steps=together(layout))
-        return layout
-
-    @property
-    def constant(self) -> list[str]:
-        """Names of the other arrays of numbers, which have no time and are written at once."""
-        return [
-            str(name)
-            for name, data in self.ds.data_vars.items()
-            if name not in self.over and data.dtype.kind in "biufc" and data.ndim
-        ]
-
-    @property
-    def lazy(self) -> list[str]:
-        """Names of the variables that tasks compute."""
-        return [name for name in self.over if self.ds.variables[name].chunks is not None]
-
-    @property
-    def threads(self) -> int:
-        """Threads of a task: tasks share the processors; a single one has them all."""
-        has_several_tasks = self.lazy and self.ds.sizes["time"] > self.steps
-        return 1 if has_several_tasks else THREADS
-
-    @property
-    def step_numbers(self) -> NDArray:
-        """Number of each step; its place in time without the coordinate ``step``."""
-        if "step" in self.ds.coords:
-            return self.ds["step"].to_numpy()
-        return np.arange(self.ds.sizes.get("time", 1))
-
-    def chunk_shape(self, name: str) -> tuple[int, ...]:
-        """Shape of the chunks on disk of a variable over time, which is its first axis, whole along the others."""
-        return (self.steps, *self.ds[name].shape[1:])
-
-    def outline(self) -> xr.Dataset:
-        """Return the same Dataset with placeholders, which nothing computes, for the arrays that tasks write."""
-        import dask.array as da  # slow to import
-
-        placeholders: dict[str, xr.Variable] = {}
-        for name in self.over:
-            data = self.ds.variables[name]
-            # with a name dask need not hash what it is made of
-            zeros = da.zeros(
-                data.shape,
-                dtype=self.encoding.type_of(data.dtype),
-                chunks=-1,
-                name=f"outline-{name}",
-            )
-            placeholders[name] = data.copy(data=zeros)
-        return self.ds.assign(placeholders)
-
-
-def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
-    """Rechunk all lazy variables, whole but along time, where their chunks are the same and even.
-
-    So no two tasks write to one chunk on disk, and one task computes a step of all of them.
-    """
-    lazy = {name: ds.variables[name] for name in over if ds.variables[name].chunks is not None}
-    steps = math.lcm(*(v.chunksizes["time"][0] for v in lazy.values()))
-    return ds.assign(
-        {name: v.chunk({**dict.fromkeys(v.dims, -1), "time": steps}) for name, v in lazy.items()}
-    )
-
-
-@dataclass(frozen=True)
-class Format:
-    """Properties of a format.
-
-    Attributes
-    ----------
-    name : str
-        Its name.
-    begin : callable
-        ``begin(layout, path, begun)`` lays out a file, unless it is `begun`, and returns its
-        `Store`.
-    check : callable
-        Refuses a Dataset that the format cannot hold, and brings it into its form.
-    together : callable, optional
-        See `StoreLayout.of`.
-    whole : callable
-        Context that gives a complete file its name, as `renamed_file`.
-    """
-
-    name: str
-    begin: Callable[[StoreLayout, Path, bool], Store]
-    check: Callable[[xr.Dataset], xr.Dataset] = lambda ds: ds
-    together: Callable[[StoreLayout], int] | None = None
-    whole: Callable[..., AbstractContextManager[Path]] = renamed_file
 
 
 def client() -> Any:
@@ -237,14 +65,6 @@ def _config() -> AbstractContextManager[Any]:
     if processes is not None and get_scheduler() is processes.get:
         return dask.config.set(scheduler="threads")
     return nullcontext()
-
-
-def joined(parts: Sequence[NDArray]) -> NDArray:
-    """Join arrays that follow each other; a single one is not copied."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-# --- one or several files from one computation -----------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -583,138 +403,3 @@ def _wait(_: Any) -> None:
 
 def _writes(key: Any) -> bool:
     return isinstance(key, tuple) and str(key[0]).startswith(_WRITES)
-
-
-# --- hidden folders: what their files are of, and which steps are in them ---------------------------------
-
-
-class Mismatch(SceneError):
-    """An interrupted run was of another scene or call; `folder` holds what it wrote, `changed` says what differs."""
-
-    def __init__(self, folder: Path, changed: Sequence[str]) -> None:
-        super().__init__(
-            f"{folder} is of a save that was interrupted, of another scene or call ({'; '.join(changed)}); "
-            "repeat the call that began it, or remove the folder to start over"
-        )
-        self.folder = folder
-        self.changed = changed
-
-    def __reduce__(self) -> tuple[type[Mismatch], tuple[Path, Sequence[str]]]:
-        return Mismatch, (self.folder, self.changed)
-
-
-@dataclass(frozen=True)
-class Begun:
-    """Hidden folder with the incomplete files of a run, and with its state.
-
-    ``state.json`` says that the files are laid out, and of what; ``whole`` that they hold all steps
-    and only lack their names.
-    """
-
-    folder: Path
-
-    def matches(self, state: Mapping[str, str]) -> bool:
-        """Return whether the files are laid out; raise Mismatch where they are of something else."""
-        file = self.folder / "state.json"
-        if not file.exists():
-            return False
-        before = json.loads(file.read_text())
-        changed = [
-            f"{key}: {_short(state.get(key, 'none'))} instead of {_short(before.get(key, 'none'))}"
-            for key in sorted({*before, *state})
-            if before.get(key) != state.get(key)
-        ]
-        if changed:
-            raise Mismatch(self.folder, changed)
-        return True
-
-    def clear(self) -> None:
-        """Remove what a run left that was killed while it laid out the files."""
-        for path in self.folder.iterdir():
-            remove(path)
-
-    def begin(self, state: Mapping[str, str]) -> None:
-        """Record that the files are laid out."""
-        part = self.folder / "state.part"
-        part.write_text(json.dumps(state))
-        os.replace(part, self.folder / "state.json")
-
-    def end(self) -> None:
-        """Record that the files hold all steps."""
-        (self.folder / "whole").touch()
-
-    def is_whole(self) -> bool:
-        """Return whether the files hold all steps; some may have their names already."""
-        return (self.folder / "whole").exists()
-
-    def log(self, output: int) -> Log:
-        """Return the log of an output, by its place among all."""
-        return Log(self.folder / f"done_{output}.jsonl")
-
-
-@dataclass(frozen=True)
-class Log:
-    """Log of the steps in the files of an output. Tasks record a chunk of them when all files hold it."""
-
-    file: Path
-
-    def add(self, steps: slice, skipped: Mapping[int, str]) -> None:
-        """Record that steps are in all files, and why some of them were skipped."""
-        self._write({"steps": [steps.start, steps.stop], "skipped": skipped})
-
-    def add_cause(self, step: int, cause: str) -> None:
-        """Record why a step with this number was skipped in another process, where nobody listens."""
-        self._write({"steps": [0, 0], "skipped": {}, "causes": {step: cause}})
-
-    def _write(self, line: Mapping[str, Any]) -> None:
-        with open(self.file, "ab", buffering=0) as file:
-            file.write(f"\n{json.dumps(line)}".encode())
-
-    def steps(self) -> set[tuple[int, int]]:
-        """First and last (exclusive) step of each chunk that is there."""
-        return {tuple(line["steps"]) for line in self._lines()}
-
-    def skipped(self) -> dict[int, str]:
-        """Return the steps that were skipped, by their place in time, and why."""
-        return dict(
-            sorted(
-                (int(t), cause) for line in self._lines() for t, cause in line["skipped"].items()
-            )
-        )
-
-    def causes(self) -> dict[int, str]:
-        """Return the causes that other processes sent, by number of the step."""
-        causes = (line.get("causes", {}) for line in self._lines())
-        return {int(step): cause for line in causes for step, cause in line.items()}
-
-    def _lines(self) -> Iterator[dict[str, Any]]:
-        if not self.file.exists():
-            return
-        for line in self.file.read_text().splitlines():
-            if line.endswith("}}"):  # else the process ended while it wrote the line
-                yield json.loads(line)
-
-
-def state_of(ds: xr.Dataset, encoding: Encoding, formats: Sequence[str]) -> dict[str, str]:
-    """Describe what is written, by names that a message can use.
-
-    Names of dask's tasks represent lazy values: they follow from the files, as they were when they
-    were opened, and from the call.
-    """
-    state = {"xcg": version("xcg"), "formats": ", ".join(formats), "encoding": str(encoding)}
-    for name, data in ds.variables.items():
-        state[f"shape of {name!r}"] = f"{dict(data.sizes)} {data.dtype}"
-        if data.chunks is None:
-            state[f"values of {name!r}"] = tokenize(data.to_numpy())
-        else:
-            state[f"values of {name!r}"] = data.data.name
-    for name, value in ds.attrs.items():
-        if name != "history":  # which has the time of the call
-            state[f"attribute {name!r}"] = str(np.asarray(value).tolist())
-    return state
-
-
-def _short(text: str) -> str:
-    if len(text) < 60:
-        return text
-    return f"{text[:57]}..."

@@ -30,7 +30,7 @@ from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import check_times
 from xcg.writers.formats import Hdf5Store, StoredArray, hdf5_file
-from xcg.writers.store import Format, StoreLayout
+from xcg.writers.store_layout import Format, StoreLayout
 
 if TYPE_CHECKING:
     import h5py

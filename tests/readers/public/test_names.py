@@ -17,7 +17,8 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 import xcg
 from tests import dumps
 from xcg.readers.column_units import parse_unit
-from xcg.readers.names import CLOCK_SLOTS, PARTICLE_SLOTS, columns_by_name
+from xcg.readers.named_columns import columns_by_name
+from xcg.readers.names import CLOCK_SLOTS, PARTICLE_SLOTS
 
 STEP = 0.01  # m that every grain moves along x in one step
 

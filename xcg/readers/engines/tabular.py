@@ -29,13 +29,9 @@ from xcg.readers.files.table import (
     scan_parquet,
 )
 from xcg.readers.files.text import first_lines
-from xcg.readers.names import (
-    CLOCK_SLOTS,
-    columns_by_name,
-    factor_of,
-    resembling_clock,
-    times_by_unit,
-)
+from xcg.readers.likely_names import resembling_clock, times_by_unit
+from xcg.readers.named_columns import columns_by_name, factor_of
+from xcg.readers.names import CLOCK_SLOTS
 from xcg.readers.paths import index_steps
 from xcg.readers.unread import unread_format
 from xcg.scene.times import read_times, without_noise

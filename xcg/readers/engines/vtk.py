@@ -23,15 +23,8 @@ from xcg.readers.files.hdf5data import is_hdf5
 from xcg.readers.files.legacy_vtk import is_legacy
 from xcg.readers.files.text import open_binary
 from xcg.readers.files.vtkheader import OF_CELLS, Header
-from xcg.readers.names import (
-    CONTACT_ARRAYS,
-    PARTICLE_ARRAYS,
-    Slots,
-    columns_by_name,
-    components,
-    factor_of,
-    slots_for,
-)
+from xcg.readers.named_columns import columns_by_name, factor_of
+from xcg.readers.names import CONTACT_ARRAYS, PARTICLE_ARRAYS, Slots, components, slots_for
 from xcg.scene.schema import COMPONENTS, Frame, variable
 
 _VECTORS = ("velocity", "angular_velocity", "unwrapped_position", "image")
