@@ -7,9 +7,9 @@ import re
 import runpy
 from pathlib import Path
 
-from xcg.fields.formulas.averages import takes_covariance
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.registry import FIELDS, TOPICS, listed
+from xcg.fields.formulas.rules import takes_covariance
 
 HEAD = r"""# Fields
 

@@ -334,11 +334,11 @@ TABLE = [
         "test_errors_of_few_samples_are_their_scatter_over_the_root_of_their_number",
     ),
     Mutation(
-        "fields/formulas/averages.py", "drift + weight * shift", "weight * shift",
+        "fields/formulas/mean_sums.py", "drift + weight * shift", "weight * shift",
         "test_errors_of_the_kinetic_stress_are_those_of_averages_without_each_step",
     ),
     Mutation(
-        "fields/formulas/averages.py", "moved = first - weight * mean", "moved = first",
+        "fields/formulas/mean_sums.py", "moved = first - weight * mean", "moved = first",
         "test_errors_of_the_kinetic_stress_are_those_of_averages_without_each_step",
     ),
     Mutation(
@@ -350,11 +350,11 @@ TABLE = [
         "test_a_compressed_box_holds_the_flow_of_its_images",
     ),
     Mutation(
-        "fields/formulas/averages.py", 'sums["velocity/shift"] - weight * mean', 'sums["velocity/shift"]',
+        "fields/formulas/mean_sums.py", 'sums["velocity/shift"] - weight * mean', 'sums["velocity/shift"]',
         "test_the_flux_of_a_phase_in_an_average_is_relative_to_the_averaged_velocity_of_the_bulk",
     ),
     Mutation(
-        "fields/formulas/averages.py", "(of_bulk - mean).where", "of_bulk.where",
+        "fields/formulas/mean_sums.py", "(of_bulk - mean).where", "of_bulk.where",
         "test_a_window_of_one_step_is_the_step_and_a_fast_frame_loses_no_digits",
     ),
     Mutation(
@@ -362,7 +362,7 @@ TABLE = [
         "test_kinetic_stress_of_an_average_is_about_the_averaged_velocity",
     ),
     Mutation(
-        "fields/formulas/averages.py", '_to_sums(f, "coarsen", dims).mean', '_to_sums(f, "coarsen").mean',
+        "fields/formulas/averages.py", 'to_sums(f, "coarsen", dims).mean', 'to_sums(f, "coarsen").mean',
         "test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums",
     ),
     Mutation(

@@ -7,8 +7,8 @@ import pytest
 
 import xcg
 from tests.architecture import PACKAGE, nodes_of_package
+from xcg.fields.choice import options_of
 from xcg.fields.formulas.program import program_for
-from xcg.fields.plan import _options_of as options_of
 from xcg.fields.request import Request
 from xcg.scene.scene import Scene
 

@@ -32,7 +32,7 @@ INSIDE = {
         ["sums"],
         ["grids", "formulas"],
         ["request"],
-        ["layout", "like"],
+        ["choice", "layout", "like"],
         ["plan"],
         ["pressures", "passes"],
         ["segments", "ring_means"],

@@ -57,7 +57,8 @@ def allowed(ds, names):
     needs = {"angular_velocity", "moment_of_inertia"} - set(ds.data_vars)
     moments = {name for name, row in MOMENTS.items() if needs & set(row.variables)}
     options = registry.Options()
-    return [name for name in names if not moments & set(registry.moments_of((name,), options))]
+    rows = {name: registry.rows_of((name,), options).values() for name in names}
+    return [name for name in names if not moments & registry.moments_of(rows[name], options).keys()]
 
 
 # Turned coordinates are rounded anew, by 1e-16 of their size, ten to a hundred cutoffs.

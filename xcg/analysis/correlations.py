@@ -10,8 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import check, whole
-from xcg.fields.formulas.averages import require_fields
 from xcg.fields.formulas.block_errors import block_errors
+from xcg.fields.formulas.mean_sums import require_fields
 from xcg.scene.facts import require_facts, with_facts
 from xcg.scene.frame import require_steps, with_rising, with_time
 from xcg.scene.schema import COMPONENTS

@@ -16,8 +16,9 @@ from xcg.fields.advice import advise
 from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import CoarseGraining, about
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import derive, needed_for_averages
 from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.mean_sums import derive
+from xcg.fields.formulas.rules import needed_for_averages
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
@@ -191,7 +192,7 @@ def displacement(scene: Scene, asked: DisplacementRequest) -> xr.Dataset:
     derived = [
         name
         for name in names
-        if name != _GRADIENT and _GRADIENT in registry.order_of((name,), options)
+        if name != _GRADIENT and _GRADIENT in registry.rows_of((name,), options)
     ]
     summed = [name for name in names if name not in derived]
     if derived:
@@ -269,7 +270,7 @@ def _fields(
         if name in timed:
             require_known_times(ds, f"displacement({name!r})")
     if accumulate:
-        total = [name for name in known if _TOTAL in registry.order_of((name,), registry.Options())]
+        total = [name for name in known if _TOTAL in registry.rows_of((name,), registry.Options())]
         if fields is None:
             names = total
         wrong = [name for name in names if name not in total]

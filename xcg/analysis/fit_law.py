@@ -18,7 +18,7 @@ from xcg.analysis.shallow import nodes_a_support
 from xcg.common import drawing
 from xcg.common.checks import floats
 from xcg.common.messages import SceneWarning, plain, unknown, warn_user
-from xcg.fields.formulas.averages import require_fields
+from xcg.fields.formulas.mean_sums import require_fields
 from xcg.scene.facts import with_facts
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.labels import call_of, provenance

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import POSITIVE, between, check
 from xcg.common.messages import SceneError
 from xcg.fields.coarse_grain import coarse_grain
-from xcg.fields.formulas.averages import require_fields
+from xcg.fields.formulas.mean_sums import require_fields
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.facts import SETUP, require_facts, with_facts

@@ -19,11 +19,11 @@ from xcg.analysis.grain_plots import circles_of
 from xcg.analysis.picture import axes_of, picture_of
 from xcg.analysis.widths import width_sweep
 from xcg.common import drawing
+from xcg.fields.choice import possible_fields, variables_of
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.formulas.averages import profile
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.registry import FIELDS, listed
-from xcg.fields.plan import possible_fields, variables_of
 from xcg.fields.request import Request
 from xcg.scene.conform import conform
 from xcg.scene.frame import frame_at, with_time

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import warn_once
-from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import takes_stress_of_step
+from xcg.fields.formulas.rules import takes_stress_of_step
 from xcg.fields.layout import LARGE, about_strays, takes_gradient
 from xcg.fields.plan import Plan
 from xcg.fields.support import length_along, support_of
@@ -87,7 +86,7 @@ def _warn(advice: Iterable[Callable[[Scene, Plan], Warnings]], scene: Scene, pla
 def _depends_on_support(plan: Plan) -> bool:
     """Return whether a requested field of single steps depends on how many grains a node sees."""
     options = plan.options
-    rows = [registry.row(name, options) for name in plan.requested]
+    rows = [plan.rows[name] for name in plan.requested]
     follows_grains = {*_OF_ONE_VARIANCE, "segregation_flux"}
     if any(row.floor is not None for row in rows) or follows_grains & {*plan.requested}:
         return True

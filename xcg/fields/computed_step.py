@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import active_call, warn_once, warn_user
-from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import takes_stress_of_step
 from xcg.fields.formulas.doubts import UNKNOWN
 from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR
+from xcg.fields.formulas.rules import takes_stress_of_step
 from xcg.fields.plan import Plan
 from xcg.fields.pressures import Pressures, pressures_of, spread_of_contacts
 from xcg.fields.support import floors_of
@@ -221,11 +220,7 @@ class ComputedStep:
         assert plan.support is not None
         has_contacts = "contact_i" in self.frame
         options = plan.options
-        taking = [
-            name
-            for name in plan.requested
-            if takes_stress_of_step(registry.row(name, options), options)
-        ]
+        taking = [name for name in plan.requested if takes_stress_of_step(plan.rows[name], options)]
         free = without_frozen(self.frame)
         if not taking or not len(free["mass"]) or not (has_contacts or plan.named):
             return {}

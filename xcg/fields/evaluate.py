@@ -16,7 +16,7 @@ from xcg.compiled._jit import for_each
 from xcg.fields.computed_step import ComputedStep
 from xcg.fields.deposit import Sums
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.field import Field
+from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.program import program_for
 from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan
@@ -69,8 +69,7 @@ class CoarseGraining(FrameAnalysis):
     def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return dimensions and units of the fields."""
         rows = {}
-        for name in self.plan.fields:
-            field = registry.row(name, self.plan.options)
+        for name, field in self.plan.rows.items():
             dims = [*self.plan.dims]
             if field.paired:
                 dims.append("other_phase")
@@ -108,7 +107,7 @@ class CoarseGraining(FrameAnalysis):
             coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
         if plan.by:
             coords["phase"] = phases_of(plan.by, plan.groups)
-        fields = [registry.row(name, options) for name in plan.fields]
+        fields = plan.rows.values()
         axes = list(COMPONENTS)
         if scene.cylindrical:
             axes = list(_CYLINDRICAL)
@@ -172,14 +171,14 @@ class CoarseGraining(FrameAnalysis):
 
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Name the formula, source and floor of each field, and what the scene lacks for it."""
-        system = self.plan.setup.unit_system
-        floors = numbers_of_floors(self.plan)
-        for name in self.plan.fields:
-            field = registry.row(name, self.plan.options)
+        plan = self.plan
+        system = plan.setup.unit_system
+        floors = numbers_of_floors(plan)
+        optional = {n for moment in plan.moments.values() for n in moment.optional}
+        absent = [n for n in ROTATION if n in optional and n not in plan.variables]
+        for name, field in plan.rows.items():
             attrs: dict[str, Any] = about(field, system)
-            moments = registry.moments_of([name], self.plan.options).values()
-            optional = {variable for moment in moments for variable in moment.optional}
-            lacking = [n for n in ROTATION if n in optional and n not in self.plan.variables]
+            lacking = [n for n in absent if n in _optional(name, plan.options)]
             if lacking:
                 attrs["comment"] = (
                     f"without rotation, as the scene holds no {' and no '.join(lacking)}"
@@ -187,7 +186,14 @@ class CoarseGraining(FrameAnalysis):
             if name in floors:
                 attrs["floor_of_one_step"] = floors[name]
             result.variables[name].attrs = attrs
-        return result.set_coords([n for n in self.plan.fields if n not in self.plan.requested])
+        return result.set_coords([n for n in plan.fields if n not in plan.requested])
+
+
+def _optional(name: str, options: Options) -> set[str]:
+    """Return the variables that a field takes where the scene has them."""
+    rows = registry.rows_of((name,), options)
+    moments = registry.moments_of(rows.values(), options)
+    return {variable for moment in moments.values() for variable in moment.optional}
 
 
 def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
@@ -216,7 +222,7 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
 def _leave_out_directions(plan: Plan, fields: Mapping[str, NDArray]) -> None:
     """Set vectors and tensors to NaN where axes have no direction, but for what is along z alone."""
     for name, values in fields.items():
-        rank = registry.row(name, plan.options).rank
+        rank = plan.rows[name].rank
         if rank:
             along: Any = (plan.nodes.undirected, ..., *(2,) * rank)
             of_axis = values[along]

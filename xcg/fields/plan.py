@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,15 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import unknown
 from xcg.compiled.segments import RULES
+from xcg.fields.choice import choose_fields
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import needed_for_averages, squared_integral
-from xcg.fields.formulas.field import Options, Quantity, Support
-from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
-from xcg.fields.formulas.rows.flow import FITS
-from xcg.fields.formulas.variables import OwnField, check_turns, own_field, own_fields
-from xcg.fields.grids.grid import check_axes
+from xcg.fields.formulas.field import Field, Options, Support
 from xcg.fields.layout import (
     check_differentiable,
     extents_of,
@@ -36,7 +30,7 @@ from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE, Nodes
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.scene.facts import extent_text
 from xcg.scene.scene import Scene
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup
+from xcg.scene.schema import COMPONENTS, Setup
 from xcg.scene.summary import Summary
 
 # what passes go over, as the text of a plan names it, by `over` of their moments
@@ -107,11 +101,12 @@ class Plan:
         What the accessible fraction takes. Measured by `explain` alone.
 
     Other attributes follow from these: `dims`, of the nodes, and phase where there are several;
-    `phases`, their number, the bulk included; `group_count`, without it, and `other_count`, groups of
-    partners, the last one for walls; `kernel`, the widest; `weights`, the first kernel as loops take
-    it; `cutoffs` and `widths` of the kernels (m), and `cutoff_of_group`; `shapes`, of one step of
-    each field in the result; `reached`, the number of nodes in the box around the support of a grain;
-    `block_nodes`, of those computed at a time; `attrs`, attributes of the result.
+    `phases`, their number, the bulk included; `rows` of the fields; `group_count`, without it, and
+    `other_count`, groups of partners, the last one for walls; `kernel`, the widest; `weights`, the
+    first kernel as loops take it; `cutoffs` and `widths` of the kernels (m), and `cutoff_of_group`;
+    `shapes`, of one step of each field in the result; `reached`, the number of nodes in the box
+    around the support of a grain; `block_nodes`, of those computed at a time; `attrs`, attributes
+    of the result.
     """
 
     fields: tuple[str, ...]
@@ -153,9 +148,18 @@ class Plan:
             sizes += (self.phases,)
         self.shapes: dict[str, tuple[int, ...]] = {}
         for name in self.fields:
-            row = registry.row(name, self.options)
+            row = self.rows[name]
             self.shapes[name] = sizes + (self.phases,) * row.paired + (3,) * row.rank
         self.reached = self.nodes.nodes_within(2.0 * max(self.cutoffs))
+
+    @cached_property
+    def rows(self) -> dict[str, Field]:
+        """Rows of the fields."""
+        return {name: registry.row(name, self.options) for name in self.fields}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the rows: other processes look them up, as formulas travel by their names."""
+        return {name: value for name, value in vars(self).items() if name != "rows"}
 
     @cached_property
     def block_nodes(self) -> int:
@@ -286,7 +290,7 @@ def effective_count(scene: Scene, plan: Plan) -> float | None:
         return None
     space = scene.setup.dimension
     number = DENSE / ({2: math.pi / 4, 3: math.pi / 6}[space] * scene.sizes["d43"] ** space)
-    return number * math.prod(lengths) / squared_integral(plan.kernel, len(plan.nodes.seen))
+    return number * math.prod(lengths) / plan.kernel.squared_integral(len(plan.nodes.seen))
 
 
 def make_plan(scene: Scene, request: Request) -> Plan:
@@ -302,17 +306,13 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     scene.require((), "coarse_grain")
     rtol = request.rtol
     by = request.by
-    names, requested, options = _fields_and_options(scene, request)
-    needed = variables_of(names, scene.columns.keys(), options)
-    if not needed <= scene.columns.keys():
-        _refuse(scene, names, needed, options)
-    read = [n for n in scene.columns if n in {*needed, by, "frozen"}]
+    chosen = choose_fields(scene, request)
+    moments = chosen.moments
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     narrowest = min(k.width for k in kernels)
     nodes = nodes_of(scene, request, kernels)
     seen = len(nodes.seen)
-    moments = registry.moments_of(names, options)
     if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & moments.keys():
         check_differentiable(widest)
     limits = np.zeros(0)
@@ -323,16 +323,16 @@ def make_plan(scene: Scene, request: Request) -> Plan:
         groups = scene.groups(by, request.groups)
     x, y, z = (nodes.spacing.get(a, 0.0) for a in COMPONENTS)
     options = replace(
-        options,
+        chosen.options,
         active=tuple(nodes.active.tolist()),
         shape=nodes.shape,
         spacing=(x, y, z),
         wrapped=nodes.fills(np.array(scene.lasting_periods)),
     )
     return Plan(
-        fields=names,
-        requested=requested,
-        variables=tuple(read),
+        fields=chosen.fields,
+        requested=chosen.requested,
+        variables=chosen.variables,
         moments=moments,
         nodes=nodes,
         options=options,
@@ -346,208 +346,4 @@ def make_plan(scene: Scene, request: Request) -> Plan:
         setup=scene.setup,
         rtol=rtol,
         undercut=undercut_size(scene, request, narrowest),
-    )
-
-
-def _refuse(scene: Scene, names: Sequence[str], needed: Set[str], options: Options) -> None:
-    """Raise SceneError as the scene lacks some of the variables that the fields need."""
-    here = scene.columns.keys()
-    lacking = [name for name in names if not variables_of((name,), here, options) <= here]
-    instead = ""
-    if "contact_stress" in registry.order_of(lacking, options) and (
-        variables_of(("contact_stress",), here, options) <= here
-    ):
-        instead = "; or ask for contact_stress, which needs no velocity"
-    scene.require(sorted(needed), f"coarse_grain of {', '.join(lacking)}", instead)
-
-
-# --- which fields are meant, which variables they take, and the choices of their algebra ---------------------
-
-
-def _fields_and_options(
-    scene: Scene, request: Request
-) -> tuple[tuple[str, ...], tuple[str, ...], Options]:
-    """Return the computed fields, the requested fields, and the choices of their algebra."""
-    if request.by_pair and request.by is None:
-        raise ValueError(
-            "by_pair=True splits stress by pairs of phases: name their variable, such as by='species'"
-        )
-    options = _options_of(scene, request)
-    names, own = _choose_fields(request.fields, scene, options)
-    if scene.cylindrical and own:
-        check_turns(own)
-    absent: Set[str] = set()
-    if scene.cylindrical:
-        absent = OF_PLACES
-    elif options.gradient not in FITS:
-        absent = OF_FITS
-    if request.errors:
-        names, own = _with_errors(names, own, scene, absent)
-    if unknown_here := absent & {*names}:
-        raise ValueError(
-            f"{', '.join(sorted(unknown_here))}: available only in Cartesian axes, with gradient='least_squares' or "
-            "'paper'"
-        )
-    if request.per is not None and any(name.endswith("_error") for name in names):
-        raise ValueError(
-            "errors=True with per='accessible': errors are those of sums per volume; leave one out"
-        )
-    needed = registry.order_of(names, replace(options, own=own))
-    registered = (
-        registry.OwnRow(name, registry.REGISTERED[name])
-        for name in needed
-        if name in registry.REGISTERED
-    )
-    options = replace(options, own=(*own, *registered))
-    if request.by_pair:
-        names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
-    requested = names
-    if request.for_averages is not False or request.per is not None:
-        names = (*names, *needed_for_averages(names, options))
-    if request.for_averages:
-        requested = names
-    return names, requested, options
-
-
-def possible_fields(scene: Scene, request: Request) -> tuple[str, ...]:
-    """Return the names of the fields that the scene's variables allow: the fields of a request without names."""
-    return _possible(scene, _options_of(scene, request))
-
-
-def _possible(scene: Scene, options: Options) -> tuple[str, ...]:
-    here = scene.columns.keys()
-    rows = registry.FIELDS
-    lacking = {n for n, row in rows.items() if row.option and getattr(options, row.option) is None}
-    usual = [name for name in registry.listed() if rows[name].default and name not in lacking]
-    possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
-    if not possible:
-        scene.require(("mass",), "coarse_grain")
-    return possible
-
-
-def _choose_fields(
-    fields: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None,
-    scene: Scene,
-    options: Options,
-) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
-    """Names of the fields of a result, and of the quantities of the scene's own variables among them."""
-    if fields is None:
-        return _possible(scene, options), ()
-    requested: list[Any] = [fields]
-    if isinstance(fields, Iterable) and not isinstance(fields, str):
-        requested = list(fields)
-    listed = registry.listed()
-    names = requested.copy()
-    own: dict[int, OwnField | registry.OwnRow] = {}
-    if not all(isinstance(name, str) and name in listed for name in names):
-        own = own_fields(requested, scene)
-    for k, field in own.items():
-        names[k] = field.name
-    if not names:
-        raise ValueError(
-            f"fields={fields!r}: expected at least one; leave it out for all that the scene allows"
-        )
-    available = [*listed, *(field.name for field in own.values())]
-    for name in names:
-        if name not in available:
-            raise ValueError(_unknown_field(name, scene))
-        row = registry.FIELDS.get(name)
-        if row is None or not row.option or getattr(options, row.option) is not None:
-            continue
-        if row.option == "lag":
-            raise ValueError(
-                f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain"
-            )
-        raise ValueError(f"{name} needs the argument {row.option}=")
-    return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
-
-
-def _unknown_field(name: Any, scene: Scene) -> str:
-    """Return the message about a field that does not exist."""
-    listed = registry.listed()
-    word = str(name).lower()
-    if word in registry.CALLS:
-        return f"{name!r} is no field; did you mean {registry.CALLS[word]}?"
-    if word == "all":
-        return "fields='all': leave fields out for all that the scene allows"
-    parts = re.findall(r"\w+", str(name))
-    if len(parts) > 1 and all(part in listed for part in parts):
-        return f"fields={name!r}: give several fields as a list, {parts}"
-    others = "others are listed by xcg.FIELDS and by ds.data_vars"
-    return unknown("field", name, [*listed, *scene.rows], others, registry.OTHER_NAMES)
-
-
-def _with_errors(
-    names: tuple[str, ...],
-    own: tuple[OwnField | registry.OwnRow, ...],
-    scene: Scene,
-    absent: Set[str],
-) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
-    """Add the errors of one step of the fields that have them, unless absent."""
-    quantities = [field.error for field in own if isinstance(field, OwnField)]
-    further = tuple(own_field(quantity, scene) for quantity in quantities if quantity is not None)
-    errors = [
-        f"{name}_error" for name in names if f"{name}_error" in registry.FIELDS.keys() - absent
-    ]
-    if not errors and not further:
-        raise ValueError(
-            "errors=True: errors of a single step exist for velocity, granular_temperature and others, not for "
-            f"{', '.join(names)}: leave errors= out, and take the errors of time_average over several steps"
-        )
-    names = (*names, *errors, *(field.name for field in further))
-    return tuple(dict.fromkeys(names)), (*own, *further)
-
-
-def variables_of(fields: Iterable[str], here: Set[str], options: Options) -> set[str]:
-    """Variables that some fields need, of a scene with the variables `here`."""
-    needed = {"position", "particle_id"}
-    for name, row in registry.moments_of(fields, options).items():
-        needed |= {*row.variables, *(here & {*row.optional})}
-        if name == "partners" and "coordination_number" in here:
-            needed.add("coordination_number")
-        elif row.contacts:
-            needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
-            needed |= here & {"diameter"}  # tells contacts that are far from their grains
-    return needed
-
-
-def _options_of(scene: Scene, request: Request) -> Options:
-    """Return the options of the algebra; raise ValueError if one is wrong."""
-    setup = scene.setup
-    size = request.size
-    indices: dict[str, tuple[int, ...]] = {}
-    for name in ("pressure_dims", "shear_dims"):
-        axes = getattr(request, name)
-        if axes is not None:
-            check_axes(setup.plane, **{name: axes})
-            indices[name] = tuple(map(COMPONENTS.index, axes))
-    if size in ("d50", "dmax") and size not in scene.sizes:
-        raise ValueError(
-            f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
-        )
-    axes = request.axes_of(setup.plane)
-    at = request.at or {}
-    averaged = {a for a in setup.plane if isinstance(axes, str) and a not in axes and a not in at}
-    derivatives = "zero"
-    if "lattice_velocity" in scene.columns and averaged & {*setup.periodic}:
-        derivatives = "box"
-    elif averaged == {*setup.plane} and not averaged <= {*setup.periodic} and not scene.cylindrical:
-        derivatives = "unknown"
-    temperature: str = request.temperature
-    if request.by is not None and temperature == "unbiased":
-        temperature = "mixture"
-    return Options(
-        plane=tuple(COMPONENTS.index(a) for a in setup.plane),
-        gradient=request.gradient,
-        pressure_axes=indices.get("pressure_dims"),
-        shear_axes=indices.get("shear_dims"),
-        deviatoric=request.deviatoric,
-        size=size,
-        diameter=scene.sizes.get(size),
-        fluid_viscosity=request.fluid_viscosity,
-        friction=request.friction,
-        temperature=temperature,
-        lag=scene.lag,
-        by=request.by,
-        averaged_gradient=derivatives,
     )

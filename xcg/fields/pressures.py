@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.averages import second_moment
 from xcg.fields.plan import Plan
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import rows_of
@@ -130,7 +129,7 @@ def variation_of_flow(
     noise = mass @ (velocity - flow) ** 2 / max(len(mass), 1)
     smeared = np.zeros(3)
     averaged = {}
-    variance = second_moment(plan.kernel, len(nodes.seen))
+    variance = plan.kernel.second_moment(len(nodes.seen))
     for n, k in enumerate(plan.options.plane):
         first, second, third = terms[1 + 3 * n : 4 + 3 * n]
         u = places[k][:, None]

@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 
-from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import second_moment, squared_integral
 from xcg.fields.formulas.field import Field, Support
 from xcg.fields.plan import Plan
 from xcg.fields.sums.kernels import Kernel
@@ -38,7 +36,7 @@ def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, Field]]:
     """Return floor and row of each requested field whose floor is known."""
     floors = {}
     for name in plan.requested:
-        row = registry.row(name, plan.options)
+        row = plan.rows[name]
         floor = row.floor(support) if row.floor is not None else math.nan
         if math.isfinite(floor):
             floors[name] = floor, row
@@ -69,7 +67,7 @@ def support_of(scene: Scene, plan: Plan) -> Support | None:
     # in a unit of the space that the kernel sees
     number = count / filled * math.prod(lengths)
     partners = 2 * scene.ds.sizes.get("contact", 0) / count
-    grains = max(1.0, number / squared_integral(plan.kernel, seen))
+    grains = max(1.0, number / plan.kernel.squared_integral(seen))
     share = {2: math.pi / 4, 3: math.pi / 6}[d] * size**d * count / filled
     return Support(
         grains=grains,
@@ -112,4 +110,4 @@ def _slope(kernel: Kernel, seen: int, dimension: int, number: float) -> float:
     psi = kernel.value(r, seen)
     squares = np.trapezoid(psi**2 * shells, dx=step)
     components = seen * (dimension + 1 - 2 / dimension)
-    return math.sqrt(float(squares) * components / number) / second_moment(kernel, seen)
+    return math.sqrt(float(squares) * components / number) / kernel.second_moment(seen)

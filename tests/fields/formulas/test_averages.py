@@ -10,8 +10,8 @@ import xcg
 from tests import ensembles, raise_if_dask_computes, truths
 from tests.scenes import random_steps
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import needed_for_averages
 from xcg.fields.formulas.block_errors import jackknife
+from xcg.fields.formulas.rules import needed_for_averages
 
 ALL = {"width": 0.8, "spacing": 1.0}
 

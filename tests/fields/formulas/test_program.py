@@ -209,9 +209,10 @@ def test_rows_list_exactly_the_inputs_of_their_formulas():
         for phases in (slice(0, 1), slice(None)):  # formulas may differ for the bulk alone
             if temperature == "mixture" and phases.stop:
                 continue
-            made_up = _made_up(registry.moments_of(names, options))
+            ordered = registry.rows_of(names, options)
+            made_up = _made_up(registry.moments_of(ordered.values(), options))
             s = {name: a if name == "reference" else a[phases] for name, a in made_up.items()}
-            f = registry.evaluate(registry.order_of(names, options), s, options)
+            f = registry.evaluate(tuple(ordered), s, options)
             for name in names:
                 row = registry.row(name, options)
                 rows[id(row)] = row

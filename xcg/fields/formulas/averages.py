@@ -6,18 +6,13 @@ in its denominator as its `weight`: this is the ratio of the averaged sums. What
 these (magnitudes, friction, inertial number) is computed anew from the averages. The sums have to
 be in the result beside the ratios, as variables or coordinates: `needed_for_averages` says which
 these are, and an error which are missing.
-
-The kinetic stress of an average is about the averaged velocity U, by the law of total covariance:
-``mean sigma^k + mean rho (V - U)(V - U)`` (Weinhart et al. 2013; Artoni & Richard 2015).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import check, whole
-from xcg.common.messages import active_call, warn_once
+from xcg.common.messages import active_call
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, Jackknife, jackknife
 from xcg.fields.formulas.doubts import (
@@ -38,21 +33,16 @@ from xcg.fields.formulas.doubts import (
     with_floors,
     with_unknown_temperatures,
 )
-from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.mean_sums import from_sums, require_fields, rows_in, to_sums
 from xcg.fields.formulas.one_task import in_one_task, is_small
-from xcg.fields.formulas.variables import row_of_result
-from xcg.fields.sums.kernels import Kernel, kernel_of
-from xcg.scene.conform import in_order, labels_along
-from xcg.scene.facts import require_facts, with_facts
+from xcg.fields.formulas.rules import ENDS, errors_among, has_bias
+from xcg.fields.sums.kernels import kernel_of
+from xcg.scene.facts import with_facts
 from xcg.scene.frame import require_steps, with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.faults import SKIPPED
 from xcg.steps.labels import format_call, provenance
 
-# --- averages of results ---------------------------------------------------------------------------------
-
 _SAMPLE = "_sample"
-_NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with drop_vars"
 
 
 def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
@@ -93,7 +83,7 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
         raise ValueError(f"profile({axis!r}): the resolved axes of this result are {axes}")
     f = f.assign_attrs(provenance(f, format_call("profile", {"axis": axis})))
     others = [a for a in axes if a != axis]
-    sums = _to_sums(f, "profile", others)
+    sums = to_sums(f, "profile", others)
     if "r" in others:  # rings have areas r dr; the axis itself has none
         sums = sums.sel(r=sums["r"] > 0.0)
         area = float(sums["r"].sum()) * math.prod(sums.sizes[d] for d in others if d != "r")
@@ -207,13 +197,13 @@ def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr
         samples = samples.assign_coords(time=("time", middle, f["time"].attrs))
     noisy = {name: samples[_noise_of(name)] for name in noise}
     samples = samples.drop_vars([_noise_of(name) for name in noise])
-    samples = _to_sums(samples, "time_average", [_SAMPLE])
+    samples = to_sums(samples, "time_average", [_SAMPLE])
     mean = _average_of(samples.mean(_SAMPLE, skipna=False), f, "time_average")
-    norms = [name for name, row in _rows_of(f).items() if row and row.is_norm]
+    norms = [name for name, row in rows_in(f).items() if row and row.is_norm]
     blocks = jackknife(
         samples,
         _SAMPLE,
-        lambda means: _from_sums(means, f),
+        lambda means: from_sums(means, f),
         norms=norms,
         independent=of_runs,
     )
@@ -243,7 +233,7 @@ def _beside(
     """Return the errors and biases of the fields of an average; errors that are checked warn."""
     count = samples.sizes[_SAMPLE]
     options = registry.options_of(f.attrs)
-    rows = _rows_of(f)
+    rows = rows_in(f)
     weights = {}
     for name in map(str, mean.data_vars):
         row = rows.get(name)
@@ -261,7 +251,7 @@ def _beside(
         error.attrs = {"units": units, "long_name": f"standard error of {name}"}
         if name in weights:
             error = steadiness.checked(name, error, samples.get(f"{name}/bottom"))
-        if row and count >= MIN_BIAS_BLOCKS and _has_bias(row, options):
+        if row and count >= MIN_BIAS_BLOCKS and has_bias(row, options):
             bias = blocks.biases[name].variable.where(known)
             if name == "nematic_order" and options.dimension == 3:
                 unsure, error = unsure_sign(mean, error, call)
@@ -291,7 +281,7 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
     differing = [axis for axis in axes if axis in f.coords and dim in f[axis].dims]
     if differing:
         raise ValueError(_of_different_meshes(dim, differing))
-    rows = {name: row for name, row in _rows_of(f).items() if row}
+    rows = {name: row for name, row in rows_in(f).items() if row}
     sums = [name for name, row in rows.items() if row.additive and dim in f[name].dims]
     if sums:
         lacking = f[sums[0]].isnull().any(dim)
@@ -313,7 +303,7 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
             )
         f = f.assign(checked)
     if {"averaged_steps", "averaged_runs"} & {*f.attrs}:
-        errors = _errors_among(map(str, f.data_vars))
+        errors = errors_among(map(str, f.data_vars))
         f = f.drop_vars([*errors, *(f"{name}_from" for name in errors)], errors="ignore")
     # xarray joins sums that are equal in all runs to one
     equal = {name: f[name] for name in rows if name in f and dim not in f[name].dims}
@@ -392,7 +382,7 @@ def coarsen(f: xr.Dataset, **blocks: int) -> xr.Dataset:
     one_block = f.isel({axis: slice(size) for axis, size in blocks.items()})
     f = f.drop_vars([*blocks]).coarsen(blocks).construct(inside)
     dims = [inner for _, inner in inside.values()]
-    mean = _average_of(_to_sums(f, "coarsen", dims).mean(dims, skipna=False), f, "coarsen")
+    mean = _average_of(to_sums(f, "coarsen", dims).mean(dims, skipna=False), f, "coarsen")
     if has_floors(f) and set(blocks) <= set(COMPONENTS):
         count = _independent(one_block, [*blocks])
         mean = with_floors(mean, registry.options_of(f.attrs), "coarsen", count)
@@ -404,9 +394,9 @@ def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
 
     `sample_count` does not change; other fields are NaN where the fraction is.
     """
-    rows = _rows_of(f)
+    rows = rows_in(f)
     fraction = fraction.drop_attrs(deep=False)
-    sums = _to_sums(f, "per='accessible'")
+    sums = to_sums(f, "per='accessible'")
     ratios = {name for name, row in rows.items() if row is not None and row.weight}
     divided = {}
     for name, values in sums.items():
@@ -414,7 +404,7 @@ def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
         if not (part_of_ratio or name == "sample_count"):
             values = values / fraction
         divided[name] = values
-    out = _from_sums(xr.Dataset(divided), f)
+    out = from_sums(xr.Dataset(divided), f)
     known = fraction.notnull()
     unchanged = {name: f[name].where(known) for name in ratios}
     if "sample_count" in rows:
@@ -477,28 +467,10 @@ def _independent(f: xr.Dataset, axes: Sequence[str]) -> float:
     for k, axis in enumerate(axes):
         if f.sizes[axis] > 1:
             lengths[k] = abs(float(f[axis][1] - f[axis][0])) * f.sizes[axis]
-    before = squared_integral(kernel, seen)
-    after = squared_integral(kernel, seen - len(axes))
+    before = kernel.squared_integral(seen)
+    after = kernel.squared_integral(seen - len(axes))
     places = math.prod(lengths) * before / after
     return max(1.0, min(count, places))
-
-
-def squared_integral(kernel: Kernel, seen: int) -> float:
-    """Integral of the square of a kernel, as it is seen in some dimensions (m^-seen)."""
-    if not seen:
-        return 1.0
-    r, step = np.linspace(0.0, kernel.cutoff, 2001, retstep=True)
-    shells = {1: 2.0, 2: 2 * np.pi * r, 3: 4 * np.pi * r**2}
-    return float(np.trapezoid(kernel.value(r, seen) ** 2 * shells[seen], dx=step))
-
-
-def second_moment(kernel: Kernel, seen: int) -> float:
-    """Variance of the place of a grain along an axis, as a kernel weighs it in some dimensions (m^2)."""
-    if not seen:
-        return 0.0
-    r, step = np.linspace(0.0, kernel.cutoff, 2001, retstep=True)
-    shells = {1: 2.0 * r**2, 2: np.pi * r**3, 3: 4 / 3 * np.pi * r**4}[seen]
-    return float(np.trapezoid(kernel.value(r, seen) * shells, dx=step))
 
 
 def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: str) -> xr.Dataset:
@@ -520,393 +492,6 @@ def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: st
     return mean.assign(beside)
 
 
-def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
-    """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
-    names = tuple(names)
-    errors = _errors_among(names)
-    rows = {name: registry.row(name, options) for name in names if name not in errors}
-    needed = _all_of(_missing(rows, options))
-    averaged = [*rows.values(), *(registry.row(name, options) for name in needed)]
-    if any(takes_covariance(row, options) for row in averaged):
-        needed += tuple(name for name in _OF_COVARIANCE if name not in (*names, *needed))
-    return needed
-
-
-ENDS = ("_error", "_bias")  # of the names of what stands beside an average
-
-
-def _has_bias(row: Field, options: Options) -> bool:
-    """Return whether a field of averaged sums has a bias: it is neither linear in them nor a ratio of two."""
-    return not (row.additive or row.weight) or takes_covariance(row, options)
-
-
-def _errors_among(names: Iterable[str]) -> list[str]:
-    """Return the names of the errors and biases of other fields in the list."""
-    names = list(names)
-    found = []
-    for end in ENDS:
-        found += [name for name in names if name.endswith(end) and name.removesuffix(end) in names]
-    return found
-
-
-def _all_of(missing: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Return the fields that are missing, each once."""
-    fields = dict.fromkeys(field for lacking in missing.values() for field in lacking)
-    fields.pop(_NO_RULE, None)
-    return tuple(fields)
-
-
-def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
-    """Fields that averages of each field of a result lack, each named once; None is a field without a row."""
-    here = set(rows)
-    missing: dict[str, list[str]] = {}
-
-    def follows(name: str) -> bool:
-        """Return whether a sum is here, or follows from sums that are."""
-        if name in here:
-            return True
-        row = registry.row(name, options)
-        return bool(row.fields) and not row.moments and all(map(follows, row.fields))
-
-    def obtain(name: str, row: Field | None) -> list[str]:
-        """Return what a field lacks, which counts as here from then on."""
-        if row is None:
-            return [_NO_RULE]
-        if row.additive and follows(name):
-            return []
-        if row.additive:
-            wanted = [name]
-        elif row.weight:
-            wanted = [field for field in (name, row.weight) if field not in here]
-        elif row.moments:
-            return [_NO_RULE]
-        else:
-            needs = {need: registry.row(need, options) for need in row.fields}
-            return [field for need in needs.items() for field in obtain(*need)]
-        here.update(wanted)
-        return wanted
-
-    for name, row in rows.items():
-        lacking = list(dict.fromkeys(obtain(name, row)))
-        if lacking:
-            missing[name] = lacking
-    return missing
-
-
-def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
-    """Rows of the fields of a result; None for other variables."""
-    options = registry.options_of(f.attrs)
-    rows: dict[str, Field | None] = {}
-    for name in map(str, f.data_vars):
-        if name in registry.FIELDS:
-            rows[name] = registry.row(name, options)
-        else:
-            rows[name] = row_of_result(f[name])
-    return rows
-
-
-def require_fields(f: xr.Dataset, purpose: str) -> None:
-    """Raise ValueError for a scene in place of a result."""
-    if "particle" in f.dims:
-        raise ValueError(
-            f"{purpose} takes fields, and this is a scene: call {purpose} on what its coarse_grain returns"
-        )
-
-
-def _to_sums(f: xr.Dataset, purpose: str, dims: Sequence[str] = ()) -> xr.Dataset:
-    """Return what may be averaged over some dims: additive fields, numerator and denominator of each ratio.
-
-    Beside the fields that take the covariance of the velocity, the sums that it follows from.
-    """
-    require_fields(f, purpose)
-    rows = _rows_of(f)
-    errors = _errors_among(rows)
-    if errors:
-        raise ValueError(
-            f"{purpose} takes no mean of errors and biases ({', '.join(errors)}): call it before time_average, on a "
-            "result without errors=True"
-        )
-    anew = [name for name, row in rows.items() if row and not row.additive and not row.weight]
-    if anew:
-        required = ("plane", "gradient", "pressure_dims", "deviatoric", "size", "temperature")
-        way_out = f"or leave out what {purpose} computes anew from averages, {', '.join(anew)}"
-        require_facts(f, required, "this result", way_out)
-    missing = _missing(rows, registry.options_of(f.attrs))
-    if missing:
-        lacks = [f"{name} needs {', '.join(fields)}" for name, fields in missing.items()]
-        sums = ", ".join(_all_of(missing))
-        way_out = ""
-        if sums:
-            way_out = f". Leave out for_averages=False in coarse_grain, or ask it for {sums} too"
-        raise ValueError(
-            f"{purpose} averages ratios through their sums, and some are not in this result: "
-            f"{'; '.join(lacks)}{way_out}"
-        )
-    f = _without_gaps(_with_components(f, rows, purpose), rows)
-    out: dict[str, xr.DataArray] = {}
-    for name, row in rows.items():
-        assert row is not None
-        if row.additive:
-            out[name] = f[name].astype(float)
-            if SKIPPED in f.coords:  # whole numbers of such steps are -1
-                out[name] = out[name].where(~f[SKIPPED])
-        elif row.weight:
-            weight = f[row.weight]
-            if row.by_bulk:
-                weight = _of_bulk(weight, name, purpose)
-            weight = weight.where(f[name].notnull(), 0.0)
-            value = f[name].fillna(0.0)
-            if row.harmonic:
-                out[f"{name}/top"] = weight
-                out[f"{name}/bottom"] = weight / value.where(weight != 0, 1.0)
-            else:
-                out[f"{name}/top"] = weight * value
-                out[f"{name}/bottom"] = weight
-    if dims:
-        out |= _about_mean_velocity(f, rows, purpose, dims)
-    return xr.Dataset(out)
-
-
-# --- kinetic stress about the averaged velocity ----------------------------------------------------------
-
-_OF_COVARIANCE = ("density", "velocity")
-
-
-def takes_covariance(row: Field, options: Options) -> bool:
-    """Return whether averages are about the averaged velocity: of kinetic stress, what is linear in it, and fluxes."""
-    if row.covariance is not None:
-        return True
-    if not row.additive or row.moments:
-        return False
-    needs = [registry.row(name, options) for name in row.fields]
-    is_linear = all(need.additive for need in needs)
-    return is_linear and any(takes_covariance(need, options) for need in needs)
-
-
-def takes_stress_of_step(row: Field, options: Options) -> bool:
-    """Return whether a field follows from the kinetic stress, but for temperatures; a flux does not."""
-    if row.rank == 1:
-        return False
-    if takes_covariance(row, options):
-        return True
-    return not row.moments and any(
-        takes_stress_of_step(registry.row(name, options), options) for name in row.fields
-    )
-
-
-def _lacking_for_covariance(f: xr.Dataset) -> str:
-    """Return what a result lacks for the covariance of its velocity, and where to obtain it; "" for nothing."""
-    lacking = [name for name in _OF_COVARIANCE if name not in f]
-    if lacking:
-        names = " and ".join(lacking)
-        return f"{names}: leave out for_averages=False in coarse_grain, or ask it for {names} too"
-    if "phase" in f.coords and "bulk" not in np.atleast_1d(f["phase"].to_numpy()):
-        return "the bulk: choose phases after the average"
-    if f.sizes.get("component") != 3 or f.sizes.get("direction", 3) != 3:
-        return "components of the velocity: choose components after the average"
-    return ""
-
-
-def _about_mean_velocity(
-    f: xr.Dataset, rows: Mapping[str, Field | None], purpose: str, dims: Sequence[str]
-) -> dict[str, xr.DataArray]:
-    """Return the sums of m (v - u)(v - u) less the kinetic stress, of m (v - u) and m (V - u), by phase, if needed.
-
-    u is the mean over `dims` of the bulk's velocity: relative to it nothing large is subtracted.
-    """
-    options = registry.options_of(f.attrs)
-    names = [name for name, row in rows.items() if row and takes_covariance(row, options)]
-    if not names:
-        return {}
-    lacking = _lacking_for_covariance(f)
-    if lacking:
-        warn_once(
-            "covariance",
-            f"{purpose}: the average of {', '.join(names)} leaves out how the velocity varies from step to step "
-            f"and from node to node, as this result lacks {lacking}",
-        )
-        return {}
-    weight = f["density"].where(f["velocity"].notnull(), 0.0)
-    velocity = f["velocity"].fillna(0.0)
-    of_bulk = _of_bulk(velocity, "velocity", "averages")
-    weight_of_bulk = _of_bulk(weight, "velocity", "averages")
-    total = weight_of_bulk.sum(dims)
-    mean = (weight_of_bulk * of_bulk).sum(dims) / total.where(total != 0)
-    shift = (of_bulk - mean).where(weight_of_bulk != 0, 0.0)
-    drift = weight * (velocity - of_bulk)
-    return {
-        "velocity/shift": weight * shift,
-        "velocity/first": drift + weight * shift,
-        "velocity/second": _outer(drift, shift)
-        + _outer(shift, drift)
-        + _outer(weight * shift, shift),
-    }
-
-
-def _outer(a: xr.DataArray, b: xr.DataArray) -> xr.DataArray:
-    """Return a_i b_j."""
-    return a * b.rename(component="direction")
-
-
-def _about_averaged_velocity(sums: xr.Dataset) -> dict[str, xr.DataArray]:
-    """Return what averages add, by phase: to kinetic stress the "covariance", to a flux of mass the "shift".
-
-    The covariance is the averaged sum of m (v - U)(v - U) less the averaged kinetic stress, the
-    shift the averaged rho (V - U), V the bulk's velocity.
-    """
-    weight = sums["velocity/bottom"]
-    first = sums["velocity/first"]
-    first_of_bulk = _of_bulk(first, "velocity", "averages")
-    weight_of_bulk = _of_bulk(weight, "velocity", "averages")
-    mean = (first_of_bulk / weight_of_bulk.where(weight_of_bulk != 0)).fillna(0.0)
-    moved = first - weight * mean
-    return {
-        "covariance": sums["velocity/second"] - _outer(mean, first) - _outer(moved, mean),
-        "shift": sums["velocity/shift"] - weight * mean,
-    }
-
-
-def _of_covariance(name: str, added: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
-    """Return what the covariance or the shift of the velocity adds to an averaged field."""
-    row = registry.row(name, options)
-    if row.covariance is not None:
-        return _compute(replace(row, compute=row.covariance), added, options)
-    parts = {}
-    for need in row.fields:
-        needed = registry.row(need, options)
-        if takes_covariance(needed, options):
-            parts[need] = _of_covariance(need, added, options)
-        else:
-            tail = ("component", "direction")[needed.rank :]
-            parts[need] = xr.zeros_like(added["covariance"].isel(dict.fromkeys(tail, 0), drop=True))
-    return _compute(row, parts, options)
-
-
-def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: str) -> xr.Dataset:
-    """Sort components into the order of the formulas; raise if a field would be recomputed from some of them."""
-    options = registry.options_of(f.attrs)
-
-    def of_tensors(name: str) -> bool:
-        """Return whether a field is computed anew from vectors or tensors."""
-        row = registry.row(name, options)
-        if row.additive or row.weight:
-            return row.rank > 0
-        return any(map(of_tensors, row.fields))
-
-    for dim in ("component", "direction"):
-        if dim not in f.coords:
-            continue
-        ordered = in_order(f, dim, COMPONENTS)
-        if ordered is None:
-            ordered = in_order(f, dim, ("r", "theta", "z"))
-        if ordered is not None:
-            f = ordered
-            continue
-        derived = [name for name, row in rows.items() if row and not (row.additive or row.weight)]
-        anew = [name for name in derived if of_tensors(name)]
-        if anew:
-            held = ", ".join(map(str, labels_along(f, dim)))
-            raise ValueError(
-                f"{purpose} computes {', '.join(anew)} anew from averaged vectors and tensors, "
-                f"of which this result has the {dim} {held} alone: select after it, or leave "
-                "these fields out with drop_vars"
-            )
-    return f
-
-
-def _without_gaps(f: xr.Dataset, rows: Mapping[str, Field | None]) -> xr.Dataset:
-    """Return the sums of the temperatures of phases, 0 where the grains are too few for a fit, which leaves nothing."""
-    if not any(row and row.across_phases for row in rows.values()):
-        return f
-    return f.assign(
-        {
-            name: f[name].fillna(0.0)
-            for name in ("fluctuation_stress", "fluctuation_density_by_pair")
-        }
-    )
-
-
-def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
-    """Return the bulk's part of the field that weighs another; the whole of it where there are no phases."""
-    if "phase" not in weight.coords:
-        return weight
-    if "bulk" not in np.atleast_1d(weight["phase"].to_numpy()):
-        raise ValueError(
-            f"{purpose} averages {name} by the bulk's {weight.name}, which this result lacks: choose phases after it"
-        )
-    if "phase" not in weight.dims:
-        return weight
-    return weight.sel(phase="bulk", drop=True)
-
-
 def _average_of(sums: xr.Dataset, f: xr.Dataset, purpose: str) -> xr.Dataset:
     """Return the fields of `f` from averaged quantities, with the warnings that they are due."""
-    return with_unknown_temperatures(_from_sums(sums, f), registry.options_of(f.attrs), purpose)
-
-
-def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
-    """Fields of `f` from averaged quantities."""
-    options = registry.options_of(f.attrs)
-    fields: dict[str, xr.DataArray] = {}
-    for name in map(str, sums.data_vars):
-        ratio, _, part = name.partition("/")
-        if not part:
-            fields[name] = sums[name]
-        elif part == "top":
-            denominator = sums[f"{ratio}/bottom"]
-            fields[ratio] = sums[name] / denominator.where(denominator != 0)
-    if "velocity/second" in sums:
-        added = _about_averaged_velocity(sums)
-        for name, row in _rows_of(f).items():
-            if row and takes_covariance(row, options):
-                fields[name] = fields[name] + _of_covariance(name, added, options)
-    out = {}
-    for name in map(str, f.data_vars):
-        out[name] = derive(name, fields, options).assign_attrs(f[name].attrs)
-    return xr.Dataset(out, attrs=f.attrs)
-
-
-def derive(name: str, fields: dict[str, xr.DataArray], options: Options) -> xr.DataArray:
-    """Return one of the fields, or compute it and add it and what it needed to them."""
-    if name not in fields:
-        row = registry.row(name, options)
-        needs = {need: derive(need, fields, options) for need in row.fields}
-        fields[name] = _compute(row, needs, options)
-    return fields[name]
-
-
-def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
-    """Compute one row of the registry on labelled arrays."""
-    tail = ("component", "direction")
-    dims: tuple[str, ...] = tail
-    if row.across_phases:
-        dims = ("phase", "other_phase", *tail)
-        pairs = needs["fluctuation_density_by_pair"]
-        if pairs.sizes.get("phase") != pairs.sizes.get("other_phase"):
-            raise ValueError(
-                "temperatures of phases take the sums of all phases: choose phases after the average"
-            )
-    of_needs = [[dim for dim in dims if dim in need.dims] for need in needs.values()]
-
-    def plain(*arrays: NDArray) -> NDArray:
-        if row.across_phases:
-            arrays = tuple(
-                np.moveaxis(a, -len(core), 0) for a, core in zip(arrays, of_needs, strict=True)
-            )
-        fields = SimpleNamespace(**dict(zip(needs, arrays, strict=True)))
-        with np.errstate(all="ignore"):
-            values = row.compute(fields, None, options)
-        if row.across_phases:
-            return np.moveaxis(values, 0, -1 - row.rank)
-        return values
-
-    if not needs:
-        return xr.DataArray(plain())
-    return xr.apply_ufunc(
-        plain,
-        *needs.values(),
-        input_core_dims=of_needs,
-        output_core_dims=[(*dims[: row.across_phases], *tail[: row.rank])],
-        dask="parallelized",
-        output_dtypes=[float],
-    )
+    return with_unknown_temperatures(from_sums(sums, f), registry.options_of(f.attrs), purpose)

@@ -139,15 +139,15 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     if options.gradient == "finite_difference":  # of all nodes at once
         return None
     record = Trace()
+    rows = registry.rows_of(fields, options)
     moments = {
-        name: record.load(name, row.columns, groups, paired=row.paired)
-        for name, row in registry.moments_of(fields, options).items()
+        name: record.load(name, moment.columns, groups, paired=moment.paired)
+        for name, moment in registry.moments_of(rows.values(), options).items()
     }
     moments["reference"] = zero_if_unknown(record.load("reference", np.arange(3))[0, 0])
     sums = SimpleNamespace(**moments)
     traced: dict[str, Any] = {}
-    for name in registry.order_of(fields, options):
-        row = registry.row(name, options)
+    for name, row in rows.items():
         if traced.keys() >= set(row.fields):
             try:
                 traced[name] = as_symbols(row.compute(SimpleNamespace(**traced), sums, options))
@@ -158,7 +158,7 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
         if name not in traced:
             continue
         components = list(traced[name].flat)
-        together = 3 ** registry.row(name, options).rank
+        together = 3 ** rows[name].rank
         for first in range(0, len(components), together):
             values = components[first : first + together]
             results[name, first, together] = [record.of(value).number for value in values]

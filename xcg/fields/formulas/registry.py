@@ -222,33 +222,32 @@ class OwnRow:
     moments: ClassVar[Mapping[str, Moment]] = MappingProxyType({})
 
 
-def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
-    """Return the rows needed for some fields, each after its own inputs."""
-    ordered = dict[str, None]()
-    waiting = [*fields][::-1]
-    while waiting:
-        lacking = [need for need in row(waiting[-1], options).fields if need not in ordered]
-        if lacking:
-            waiting += reversed(lacking)
-        else:
-            ordered[waiting.pop()] = None
-    return tuple(ordered)
+def rows_of(
+    fields: Iterable[str], options: Options, rows: dict[str, Field] | None = None
+) -> dict[str, Field]:
+    """Return the rows of some fields and of all that they follow from, each after its own inputs.
+
+    They are added to `rows` where these are given.
+    """
+    rows = {} if rows is None else rows
+    for name in fields:
+        if name not in rows:
+            field = row(name, options)
+            rows_of(field.fields, options, rows)
+            rows[name] = field
+    return rows
 
 
-def moments_of(fields: Iterable[str], options: Options) -> dict[str, Moment]:
-    """Return the moments needed for some fields, by name: of `MOMENTS`, or of fields from outside xcg."""
-    rows = ChainMap({}, *(one.moments for one in options.own), MOMENTS)
+def moments_of(rows: Iterable[Field], options: Options) -> dict[str, Moment]:
+    """Return the moments that rows need, by name: of `MOMENTS`, or of fields from outside xcg."""
+    known = ChainMap({}, *(one.moments for one in options.own), MOMENTS)
     if options.friction is not None:
         for name, column in (
             ("sliding_contacts", sliding_contacts),
             ("load_bearing_sliding", load_bearing_sliding),
         ):
-            rows[name] = replace(MOMENTS[name], column=partial(column, options.friction))
-    return {
-        name: rows[name]
-        for field in order_of(fields, options)
-        for name in row(field, options).moments
-    }
+            known[name] = replace(MOMENTS[name], column=partial(column, options.friction))
+    return {name: known[name] for field in rows for name in field.moments}
 
 
 def evaluate(
@@ -258,8 +257,8 @@ def evaluate(
     s = SimpleNamespace(**moments)
     f = SimpleNamespace()
     with np.errstate(all="ignore"):  # as the program: nodes without grains divide 0 by 0
-        for name in order_of(fields, options):
-            setattr(f, name, row(name, options).compute(f, s, options))
+        for name, field in rows_of(fields, options).items():
+            setattr(f, name, field.compute(f, s, options))
     return {name: getattr(f, name) for name in fields}
 
 
@@ -427,7 +426,7 @@ def _check(name: str, row: Field) -> None:
         if need not in MOMENTS:
             where = "moments are in xcg.fields.sums.moments.MOMENTS"
             _refuse(name, f"it needs an {unknown('moment', need, list(MOMENTS), where)}")
-    if name in order_of(row.fields, Options()):
+    if name in rows_of(row.fields, Options()):
         _refuse(name, f"it is needed for {', '.join(row.fields)}, which it needs itself")
     if row.weight and (row.additive or row.weight not in of_xcg or not FIELDS[row.weight].additive):
         sums = [field for field in of_xcg if FIELDS[field].additive and FIELDS[field].rank == 0]
@@ -496,7 +495,7 @@ def _powers_of_formula(name: str, row: Field, trial: _Trial) -> tuple[float, ...
 def _try_out(name: str, row: Field) -> _Trial:
     """Return the field, computed from made-up moments."""
     options = Options(fluid_viscosity=1.0, friction=1.0, own=(OwnRow(name, row),))
-    moments = _made_up(moments_of((name,), options))
+    moments = _made_up(moments_of(rows_of((name,), options).values(), options))
     of_some = {moment: a[:, 2:4] for moment, a in moments.items() if moment != "reference"}
     of_some["reference"] = moments["reference"][2:4]
     try:

@@ -21,10 +21,10 @@ import xarray as xr
 
 from xcg.common.checks import POSITIVE, check
 from xcg.common.messages import unknown
+from xcg.fields.choice import possible_fields
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Quantity
 from xcg.fields.grids.grid import check_axes
-from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Gaussian, Kernel, kernel_of
 from xcg.scene.conform import takes_scene

@@ -20,11 +20,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
+from xcg.fields.choice import possible_fields
 from xcg.fields.formulas import algebra, registry
 from xcg.fields.formulas.algebra import at_least_zero, where_positive
 from xcg.fields.formulas.field import Field, Options, Quantity
 from xcg.fields.grids.grid import check_axes
-from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import KernelName, kernel_of
 from xcg.scene.conform import takes_scene

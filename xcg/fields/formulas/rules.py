@@ -1,0 +1,113 @@
+"""Rules of averages: the fields that averages of a field are made of, by the rule on its row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.field import Field, Options
+
+NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with drop_vars"
+OF_COVARIANCE = ("density", "velocity")
+ENDS = ("_error", "_bias")  # of the names of what stands beside an average
+
+
+def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
+    """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
+    names = tuple(names)
+    errors = errors_among(names)
+    rows = {name: registry.row(name, options) for name in names if name not in errors}
+    needed = all_of(lacking_sums(rows, options))
+    for name in needed:
+        rows[name] = registry.row(name, options)
+    if any(takes_covariance(row, options) for row in rows.values()):
+        needed += tuple(name for name in OF_COVARIANCE if name not in (*names, *needed))
+    return needed
+
+
+def lacking_sums(rows: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
+    """Return the fields that averages of each field of a result lack, each named once; None stands for no row."""
+    held = set(rows)
+    lacking: dict[str, list[str]] = {}
+    for name, row in rows.items():
+        of_field = _obtained(name, row, held, options)
+        if of_field:
+            lacking[name] = list(dict.fromkeys(of_field))
+    return lacking
+
+
+def _obtained(name: str, row: Field | None, held: set[str], options: Options) -> list[str]:
+    """Return what averages of a field lack, and add it to what is `held`."""
+    if row is None:
+        return [NO_RULE]
+    parts = [name]
+    if row.additive:
+        if _follows(name, held, options):
+            return []
+    elif row.weight:
+        parts.append(row.weight)
+    elif row.moments:
+        return [NO_RULE]
+    else:
+        lacking = []
+        for need in row.fields:
+            lacking += _obtained(need, registry.row(need, options), held, options)
+        return lacking
+    parts = [part for part in parts if part not in held]
+    held.update(parts)
+    return parts
+
+
+def _follows(name: str, held: set[str], options: Options) -> bool:
+    """Return whether a sum is held, or follows from sums that are."""
+    if name in held:
+        return True
+    row = registry.row(name, options)
+    return (
+        bool(row.fields)
+        and not row.moments
+        and all(_follows(need, held, options) for need in row.fields)
+    )
+
+
+def all_of(lacking: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
+    """Return the fields that averages of several fields lack, each once."""
+    fields = dict.fromkeys(field for of_field in lacking.values() for field in of_field)
+    fields.pop(NO_RULE, None)
+    return tuple(fields)
+
+
+def errors_among(names: Iterable[str]) -> list[str]:
+    """Return the names of the errors and biases of other fields in the list."""
+    names = list(names)
+    errors = []
+    for end in ENDS:
+        errors += [name for name in names if name.endswith(end) and name.removesuffix(end) in names]
+    return errors
+
+
+def has_bias(row: Field, options: Options) -> bool:
+    """Return whether a field of averaged sums has a bias: it is neither linear in them nor a ratio of two."""
+    return not (row.additive or row.weight) or takes_covariance(row, options)
+
+
+def takes_covariance(row: Field, options: Options) -> bool:
+    """Return whether averages are about the averaged velocity: of kinetic stress, what is linear in it, and fluxes."""
+    if row.covariance is not None:
+        return True
+    if not row.additive or row.moments:
+        return False
+    needs = [registry.row(name, options) for name in row.fields]
+    is_linear = all(need.additive for need in needs)
+    return is_linear and any(takes_covariance(need, options) for need in needs)
+
+
+def takes_stress_of_step(row: Field, options: Options) -> bool:
+    """Return whether a field follows from the kinetic stress, but for temperatures; a flux does not."""
+    if row.rank == 1:
+        return False
+    if takes_covariance(row, options):
+        return True
+    return not row.moments and any(
+        takes_stress_of_step(registry.row(name, options), options) for name in row.fields
+    )
