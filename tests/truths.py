@@ -199,6 +199,19 @@ def of_segregating(steps: int = 16) -> dict[str, dict[str, float]]:
     }
 
 
+FRICTION = 0.5
+SLOPE = 0.25  # tangential over normal forces of the columns that do not slide
+
+
+def inclined(steps: int = 16) -> xr.Dataset:
+    """Columns of touching grains under gravity on a slope along x; two thirds of them slide, along y and along -y."""
+    ds = flows.column(steps).scene
+    slope = np.array([[-SLOPE, 0.0, 1.0], [0.0, FRICTION, 1.0], [0.0, -FRICTION, 1.0]])
+    upper = ds["contact_i"] // 24  # of 24 grains a column
+    direction = xr.DataArray(slope[upper % 3], dims=("time", "contact", "component"))
+    return ds.assign(contact_force=ds["contact_force"].sel(component="z", drop=True) * direction)
+
+
 def moving(gradient: NDArray, steps: int = 4) -> xr.Dataset:
     """Grains that follow a linear flow about the middle of the box exactly."""
     position, diameter = _places(steps, 0.2, (1.0,), SIDE)
@@ -325,6 +338,8 @@ def _relax(
 ALPHA = 0.3 / np.sqrt(3)  # a_c = 0.3
 BETA = 0.2 / np.sqrt(3)  # of normal forces
 _TENSOR = np.diag([1.0, 0.0, -1.0])
+TURN = np.radians(30.0)  # of the axes of the normal forces from those of the contacts
+RATE = 0.1  # of shear of contacts with turned axes, V_x = RATE z
 
 
 def _sphere() -> tuple[NDArray, NDArray]:
@@ -338,12 +353,23 @@ def _sphere() -> tuple[NDArray, NDArray]:
     return n.reshape(-1, 3), np.repeat(weight / 48, 24)
 
 
-def known_contacts() -> dict[str, float]:
-    """Return anisotropies and mu of contacts with the density 1 + a : n n and normal forces 1 + b : n n."""
+def _of_forces(turn: float) -> NDArray:
+    """Return the tensor of the normal forces, turned about y."""
+    c = np.cos(turn)
+    s = np.sin(turn)
+    axes = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+    return axes @ _TENSOR @ axes.T
+
+
+def known_contacts(turn: float = 0.0) -> dict[str, float]:
+    """Return anisotropies, mu and angles of contacts with the density 1 + a : n n and normal forces 1 + b : n n.
+
+    The axes of b are those of a, turned about y. In the shear V_x = z, compression is fastest along
+    x - z.
+    """
     n, weight = _sphere()
-    along = np.einsum("ni,ij,nj->n", n, _TENSOR, n)
-    density = weight * (1 + ALPHA * along)
-    force = density * (1 + BETA * along)
+    density = weight * (1 + ALPHA * np.einsum("ni,ij,nj->n", n, _TENSOR, n))
+    force = density * (1 + BETA * np.einsum("ni,ij,nj->n", n, _of_forces(turn), n))
     phi = np.einsum("n,ni,nj->ij", density, n, n)
     of_force = np.einsum("n,ni,nj->ij", force, n, n) / force.sum()
 
@@ -351,15 +377,25 @@ def known_contacts() -> dict[str, float]:
         return float(7.5 * np.sqrt(1.5 * (tensor**2).sum()))
 
     dev = of_force - np.eye(3) / 3
+    stress_axis = np.linalg.eigh(of_force)[1][:, -1]
+    fabric_axis = np.linalg.eigh(phi)[1][:, -1]
+    rate_axis = np.array([1.0, 0.0, -1.0]) / np.sqrt(2)
     return {
         "contact_anisotropy": size(phi - np.eye(3) / 3),
         "normal_force_anisotropy": size(of_force - phi),
         "friction_coefficient": float(3 * np.sqrt((dev**2).sum() / 2)),
+        "stress_fabric_angle": float(np.arccos(abs(stress_axis @ fabric_axis).clip(0, 1))),
+        "stress_strain_rate_angle": float(np.arccos(abs(stress_axis @ rate_axis))),
     }
 
 
-def contacts(steps: int = 16, count: int = 1500, side: float = SIDE) -> xr.Dataset:
-    """Pairs of touching spheres anywhere, with directions and forces of known distributions."""
+def contacts(
+    steps: int = 16, count: int = 1500, side: float = SIDE, *, turn: float = 0.0, rate: float = 0.0
+) -> xr.Dataset:
+    """Pairs of touching spheres anywhere, with directions and forces of known distributions.
+
+    With a `rate` they are sheared, V_x = rate z, in a box whose images move with the flow.
+    """
     rng = np.random.default_rng(3)
     n = rng.normal(size=(steps, 4 * count, 3))
     n /= np.linalg.norm(n, axis=-1, keepdims=True)
@@ -367,14 +403,19 @@ def contacts(steps: int = 16, count: int = 1500, side: float = SIDE) -> xr.Datas
     taken = rng.uniform(0, 1 + ALPHA, along.shape) < 1 + ALPHA * along
     rows = [np.flatnonzero(step)[:count] for step in taken]
     n = np.array([step[row] for step, row in zip(n, rows, strict=True)])
-    along = np.array([step[row] for step, row in zip(along, rows, strict=True)])
+    along = np.einsum("tci,ij,tcj->tc", n, _of_forces(turn), n)
     force = rng.exponential(size=along.shape) * (1 + BETA * along)
     place = rng.uniform(0, side, n.shape)
     position = np.concatenate([place + n / 2, place - n / 2], axis=1)
     pairs = np.tile(np.arange(count), (steps, 1))
+    velocity = np.zeros_like(position)
+    velocity[..., 0] = rate * position[..., 2]
+    options: dict[str, Any] = {}
+    if rate:
+        options = {"lattice": {"xz": np.arange(steps) % side}, "shear_rate": {"xz": rate}}
     return xcg.scene_from_arrays(
         position,
-        velocity=np.zeros_like(position),
+        velocity=velocity,
         diameter=np.ones(position.shape[:2]),
         density=0.1,
         time=np.arange(steps),
@@ -385,6 +426,7 @@ def contacts(steps: int = 16, count: int = 1500, side: float = SIDE) -> xr.Datas
         box=dict.fromkeys("xyz", (0.0, side)),
         periodic="xyz",
         units="reduced",
+        **options,
     )
 
 
@@ -425,9 +467,11 @@ def systems(names: Sequence[str] = ()) -> list[System]:
         "compression": _compression,
         "rigid rotation": _rotation,
         "static column": _column,
+        "inclined column": _inclined,
         "isotropic packing": _packing,
         "Couette flow": _couette,
         "contacts": _known,
+        "turned contacts": _turned,
         "rods": _rods,
     }
     return [make() for name, make in makers.items() if not names or name in names]
@@ -529,6 +573,29 @@ def _column() -> System:
     return System("static column", lambda: flows.column(16).scene, truths, meshes, bounds=bounds)
 
 
+def _inclined() -> System:
+    weight = 30 / 36
+    shear = -SLOPE / 3
+
+    def along(f: xr.Dataset) -> Any:
+        return weight * (24.0 - f["z"])
+
+    stress = np.array([[0.0, 0.0, shear], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    deviator = stress - np.eye(3) / 3
+    truths = [
+        Truth("contact_stress", lambda f: shear * along(f), "xz"),
+        Truth("first_normal_stress_difference", along),
+        Truth("second_normal_stress_difference", lambda f: -along(f)),
+        Truth("friction_coefficient", float(3 * np.sqrt((deviator**2).sum() / 2))),
+        Truth("sliding_share", 2 / 3),
+        Truth("friction_mobilisation", (2 + SLOPE / FRICTION) / 3),
+    ]
+    bounds = {"z": (7.0, 17.0)}
+    meshes = ("volume", "plane", "profile")
+    options = {"friction": FRICTION}
+    return System("inclined column", inclined, truths, meshes, options, bounds)
+
+
 def _packing() -> System:
     truths = [
         *(Truth(name, value) for name, value in of_packing(steps=16).items()),
@@ -550,7 +617,15 @@ def _couette() -> System:
 
 
 def _known() -> System:
-    return System("contacts", contacts, [Truth(n, v) for n, v in known_contacts().items()])
+    truths = [Truth(n, v) for n, v in known_contacts().items() if not n.endswith("_angle")]
+    return System("contacts", contacts, truths)
+
+
+def _turned() -> System:
+    known = known_contacts(TURN)
+    names = ("friction_coefficient", "stress_fabric_angle", "stress_strain_rate_angle")
+    make = lambda: contacts(turn=TURN, rate=RATE)  # noqa: E731
+    return System("turned contacts", make, [Truth(name, known[name]) for name in names])
 
 
 def _rods() -> System:

@@ -5,7 +5,7 @@ import pytest
 from docs import truth
 from tests.truths import systems
 
-FLOORED = ("friction_coefficient", "inertial_number", "shear_rate", "anisotropy", "order")
+FLOORED = ("friction_coefficient", "inertial_number", "shear_rate", "anisotropy", "order", "angle")
 
 
 def rows_of(name, mesh, *widths):
@@ -24,11 +24,25 @@ def rows():
         *rows_of("rigid rotation", "volume", 1.5),
         *rows_of("static column", "profile", 1.0),
         *rows_of("Couette flow", "profile", 0.75),
+        *rows_of("inclined column", "profile", 1.0),
+        *rows_of("segregating mixture", "profile", 1.0),
+        *rows_of("turned contacts", "profile", 1.0),
     ]
 
 
 def test_sums_and_their_ratios_are_true(rows):
-    names = ("volume_fraction", "pressure", "granular_temperature", "contact_stress", "vorticity")
+    names = (
+        "volume_fraction",
+        "pressure",
+        "granular_temperature",
+        "contact_stress",
+        "vorticity",
+        "segregation_flux",
+        "sliding_share",
+        "friction_mobilisation",
+        "first_normal_stress_difference",
+        "second_normal_stress_difference",
+    )
     checked = [row for row in rows if row.truth.name in names]
     assert len(checked) > 15
     for row in checked:
