@@ -121,7 +121,7 @@ TABLE = [
         "test_steps_of_a_table_without_ids_are_not_compared",
     ),
     Mutation(
-        "readers/series.py", "(filled[0], filled[-1], filled[1])", "(filled[0], filled[-1])",
+        "readers/ends.py", "(filled[0], filled[-1], filled[1])", "(filled[0], filled[-1])",
         "test_series_in_which_grains_recur_are_silent",
     ),
     Mutation(

@@ -49,8 +49,8 @@ from .readers.from_table import scene_from_table
 from .readers.live import scene_from_lammps
 from .readers.open import open_scene
 from .scene.bodies import group_bodies
-from .scene.build import scene_from_arrays
 from .scene.contacts import select_walls
+from .scene.from_arrays import scene_from_arrays
 from .scene.measure import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
 from .scene.schema import Variable

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
-from xcg.scene.build import scene_from_arrays
+from xcg.scene.from_arrays import scene_from_arrays
 from xcg.scene.lattice import Lattice, minimum_image
 from xcg.scene.schema import COMPONENTS
 

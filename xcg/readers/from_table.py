@@ -26,9 +26,9 @@ from xcg.readers.named_columns import columns_by_name
 from xcg.readers.order import cause_by_column, warn_if_none_recurs
 from xcg.readers.report import check_plane, list_not_read, report_missing_ids, warn_of_columns
 from xcg.scene.box import domain_of
-from xcg.scene.build import scene_from_arrays
 from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.frame import rows_of
+from xcg.scene.from_arrays import scene_from_arrays
 from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.schema import Frame, Setup, periodic_axes
 from xcg.scene.times import seconds_between, without_noise

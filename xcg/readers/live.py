@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.readers.paths import units_of_system
 from xcg.readers.wall_columns import WALL_ARRAY, WALL_CONTACTS
-from xcg.scene.build import scene_from_arrays
 from xcg.scene.contact_points import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls
 from xcg.scene.frame import rows_of
+from xcg.scene.from_arrays import scene_from_arrays
 from xcg.scene.schema import COMPONENTS
 
 # the module's constants LMP_STYLE_ATOM, LMP_STYLE_LOCAL and LMP_TYPE_ARRAY

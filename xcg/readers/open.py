@@ -9,19 +9,14 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from xcg.readers.arguments import Arguments, Missing, Paths
+from xcg.readers.ends import lacks_ids, read_ends, warn_of_missing_facts
 from xcg.readers.engine import Engine
 from xcg.readers.indexed import indexed_arrays
 from xcg.readers.lazy import Chunks, lazy_arrays
+from xcg.readers.listing import list_series
 from xcg.readers.saved import open_saved, saved_path
-from xcg.readers.series import (
-    lacks_ids,
-    list_series,
-    make_series,
-    read_ends,
-    setup_of,
-    warn_of_missing_facts,
-    with_origin,
-)
+from xcg.readers.series import make_series, with_origin
+from xcg.readers.series_setup import setup_of
 from xcg.scene.build import to_dataset
 from xcg.scene.schema import Shape, Sides
 from xcg.steps.faults import OnError
