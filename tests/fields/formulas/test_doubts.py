@@ -172,6 +172,21 @@ def test_norms_of_averages_of_few_grains_warn_of_their_floor(purpose, steps):
     assert told(AVERAGES[purpose], f.isel({axis: slice(6) for axis in "xyz"}))[1] == []
 
 
+def test_anisotropies_without_a_floor_warn_of_the_noise_of_few_steps():
+    """The floors of branches and tangential forces take the contacts of a step, which averages do not have."""
+    ds = truths.packing(count=300, steps=4)
+    names = ["branch_anisotropy", "contact_anisotropy"]
+    f, _ = told(ds.cg.coarse_grain, names, spacing=2.0, for_averages=True)
+    mean, texts = told(f.cg.time_average)
+    (text,) = [text for text in texts if text.startswith("time_average: branch_anisotropy is ")]
+    value = re.search(r"is ([\d.]+) in the mean of the nodes, ([\d.]+) without its bias", text)
+    assert float(value[1]) == pytest.approx(float(mean.branch_anisotropy.mean()), rel=0.05)
+    assert float(value[2]) < 0.6 * float(value[1])
+    assert not any(
+        "contact_anisotropy is" in text and "mean of the nodes" in text for text in texts
+    )
+
+
 def test_the_floor_of_a_profile_is_that_of_the_marginal():
     """As many places as share no grains are averaged: the support of a slab has all of them."""
     ds = truths.packing(count=300, steps=1)

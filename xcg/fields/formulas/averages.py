@@ -26,11 +26,12 @@ from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, Jackknife, jackkni
 from xcg.fields.formulas.doubts import (
     NOT_NODES,
     Steadiness,
-    bias_of_norm,
     has_floors,
+    is_checked_for_noise,
     unsure_sign,
     warn_of_floors,
     with_floors,
+    with_noise,
     with_unknown_temperatures,
 )
 from xcg.fields.formulas.mean_sums import from_sums, require_fields, rows_in, to_sums
@@ -251,13 +252,14 @@ def _beside(
         error.attrs = {"units": units, "long_name": f"standard error of {name}"}
         if name in weights:
             error = steadiness.checked(name, error, samples.get(f"{name}/bottom"))
+        if row and row.is_norm and is_checked_for_noise(f, name, count):
+            norm = mean[name].variable
+            error = with_noise(name, row, norm, blocks.biases[name].variable, error, call)
         if row and count >= MIN_BIAS_BLOCKS and has_bias(row, options):
             bias = blocks.biases[name].variable.where(known)
             if name == "nematic_order" and options.dimension == 3:
                 unsure, error = unsure_sign(mean, error, call)
                 bias = bias.where(~unsure)
-            if row.is_norm:
-                bias = bias_of_norm(name, row, mean[name].variable, bias, call)
             bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}
             beside[f"{name}_bias"] = bias
         beside[f"{name}_error"] = error

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import Once, active_call, warn_once
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.block_errors import Jackknife
+from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, Jackknife
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR
 
@@ -257,10 +257,10 @@ def _warned_of_sign(call: Once, errors: NDArray, share: NDArray) -> NDArray:
 _NOISY = 1 - math.sqrt(0.5)
 
 
-def bias_of_norm(
-    name: str, row: Field, norm: xr.Variable, bias: xr.Variable, call: Once
+def with_noise(
+    name: str, row: Field, norm: xr.Variable, bias: xr.Variable, error: xr.Variable, call: Once
 ) -> xr.Variable:
-    """Return the bias of an averaged norm, which warns if noise is more than half of its square at most nodes.
+    """Return the error of an averaged norm, which warns if noise is more than half of its square at most nodes.
 
     A mean bias that is small beside the field's usual value is silent.
     """
@@ -272,22 +272,25 @@ def bias_of_norm(
     unit = norm.attrs.get("units", "1")
     least = 0.0 if row.floor_units else CONSIDERABLE_FLOOR * row.usual
     warn = partial(_warned_of_noise, call, name, "" if unit == "1" else f" {unit}", least)
-    return xr.apply_ufunc(warn, bias, share, mean, left, dask="parallelized", output_dtypes=[float])
+    numbers = share, mean, left
+    told = xr.apply_ufunc(warn, error, *numbers, dask="parallelized", output_dtypes=[float])
+    told.attrs = error.attrs
+    return told
 
 
 def _warned_of_noise(
-    call: Once, name: str, unit: str, least: float, bias: NDArray, *numbers: NDArray
+    call: Once, name: str, unit: str, least: float, errors: NDArray, *numbers: NDArray
 ) -> NDArray:
-    """Return the bias of a norm; warn if it is considerable, and noise more than half of the square at most nodes."""
+    """Return the errors of a norm; warn if its bias is considerable, and more than half of its square at most nodes."""
     share, mean, left = (float(np.max(number)) for number in numbers)
     if share > 0.5 and mean - left > least:
         call.warn(
             f"noise of {name}",
             f"time_average: {name} is {mean:.2g}{unit} in the mean of the nodes, {left:.2g}{unit} without its bias: "
             f"noise of few grains is more than half of its square at {100 * share:.0f} % of the nodes. Subtract "
-            f"{name}_bias, average over more steps, runs or axes (axes=), or increase width=",
+            f"{name}_bias, of eight steps or more, average over more steps, runs or axes (axes=), or increase width=",
         )
-    return bias
+    return errors
 
 
 # --- floors ------------------------------------------------------------------------------------------
@@ -299,6 +302,14 @@ NAMED = "fields_by_name"  # 1 in results of fields that were asked for by name
 def has_floors(f: xr.Dataset) -> bool:
     """Return whether a field of a result has a floor."""
     return any(FLOOR in values.attrs for values in f.data_vars.values())
+
+
+def is_checked_for_noise(f: xr.Dataset, name: str, count: int) -> bool:
+    """Return whether an average of so many steps warns of the noise of a norm.
+
+    Of few steps those alone that were asked for by name and have no floor, as it takes the contacts of a step.
+    """
+    return count >= MIN_BIAS_BLOCKS or (NAMED in f.attrs and FLOOR not in f[name].attrs)
 
 
 def with_floors(mean: xr.Dataset, options: Options, purpose: str, places: float) -> xr.Dataset:
