@@ -63,6 +63,18 @@ def test_a_contact_stays_where_a_particle_crosses_the_edge():
     np.testing.assert_allclose(h.contact_turned[:, 0], 0, atol=1e-12)
 
 
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
+def test_contacts_stay_where_grains_cross_half_a_period_between_steps(share):
+    """Branches show which image touches, not how far the grains have moved."""
+    x = 10 * share * np.arange(5)
+    position = np.zeros((5, 2, 3))
+    position[:, 0, 0] = x % 10
+    position[:, 1, 0] = (x + 0.9) % 10
+    h = _scene(position, box={"x": (0, 10)}, periodic="x").cg.contact_history()
+    assert h.losses.values.tolist() == [0] * 5
+    np.testing.assert_allclose(h.contact_turned, 0.0, atol=1e-12)
+
+
 @pytest.mark.filterwarnings("ignore:contact_history. 100% of the contacts are lost")
 def test_another_image_is_another_contact():
     """A sphere leaves its neighbour at one side, and touches it at the other."""

@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests import truths
 
 SUMS = [
     "density",
@@ -293,6 +294,23 @@ def test_temperatures_of_rings_are_without_bias(axes):
         found.append(f.granular_temperature.mean("z") if axes == "rz" else f.granular_temperature)
     mean = xr.concat(found, "seed").mean("seed")[0] / 0.01
     np.testing.assert_allclose(mean, 1.0, atol=0.08)
+
+
+@pytest.mark.filterwarnings("ignore:.*so that in a single step pressure lacks")
+@pytest.mark.parametrize("axes", ["rz", "rtz"])
+def test_averages_on_the_axis_have_no_pressure_that_lacks_the_velocity(axes):
+    """Of a gas the pressure of averages is rho T; on the axis of a mesh with theta the velocity is not known."""
+    f = truths.gas(16).cg.coarse_grain(
+        ["pressure", "density"], frame=xcg.Cylindrical(origin=(6, 6, 0)), axes=axes, width=1.5, spacing=1.5,
+        bounds={"r": (0.0, 3.0)} | ({"theta": (0.0, 6.0)} if axes == "rtz" else {}),
+    )  # fmt: skip
+    mean = f.cg.time_average()
+    ratio = (mean.pressure / mean.density).mean([dim for dim in mean.pressure.dims if dim != "r"])
+    np.testing.assert_allclose(ratio[1:], 1.0, atol=0.05)
+    if axes == "rtz":
+        assert np.isnan(ratio[0])
+    else:
+        assert float(ratio[0]) == pytest.approx(1.0, abs=0.1)
 
 
 def test_large_velocities_leave_small_fluctuations():

@@ -142,6 +142,8 @@ def _about_mean_velocity(
         return {}
     weight = f["density"].where(f["velocity"].notnull(), 0.0)
     velocity = f["velocity"].fillna(0.0)
+    if "theta" in f.dims:  # else its mean along a ring around the axis is zero
+        velocity = f["velocity"].where(f["density"] > 0, 0.0)
     of_bulk = _of_bulk(velocity, "velocity", "averages")
     weight_of_bulk = _of_bulk(weight, "velocity", "averages")
     total = weight_of_bulk.sum(dims)
