@@ -468,7 +468,7 @@ TABLE = [
         "fields/advice.py", "/ support.grains < _BIAS", "< _BIAS", "test_warnings_about_mixtures_name_the_way_out",
     ),
     Mutation(
-        "fields/computed_step.py", "zip(plan.groups, shares[1:]", "zip(plan.groups, shares[:-1]",
+        "fields/computed_step.py", "zip(self.plan.groups, shares[1:]", "zip(self.plan.groups, shares[:-1]",
         "test_the_share_of_unknown_temperatures_is_that_of_the_nodes",
     ),
     Mutation(

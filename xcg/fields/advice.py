@@ -1,16 +1,17 @@
 """Warnings about what a call makes of a scene, from scene and plan; nothing is read.
 
-Each piece of advice is a function that yields what it is about, once a call, and a text. None
-changes a result.
+Each piece of advice is a function of what it is about, called only where a plan has that. It yields
+a key, as it warns once a call, and a text. None changes a result.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.compat import is_in_memory
@@ -18,6 +19,8 @@ from xcg.common.messages import warn_once
 from xcg.fields.formulas.rules import takes_stress_of_step
 from xcg.fields.layout import LARGE, about_strays, takes_gradient
 from xcg.fields.plan import Plan
+from xcg.fields.sums.kernels import Kernel
+from xcg.fields.sums.nodes import Nodes
 from xcg.fields.support import length_along, support_of
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, PADDING
@@ -37,7 +40,8 @@ _OF_ONE_VARIANCE = ("granular_temperature", "directional_temperature", "mixture_
 
 def advise(scene: Scene, plan: Plan) -> None:
     """Warn of empty scenes, and of nodes and kernels that are hardly meant."""
-    _warn(_OF_PLANS, scene, plan)
+    for about, text in _of_plan(scene, plan):
+        warn_once(about, text)
 
 
 def advise_on_steps(scene: Scene, plan: Plan, *, named: bool) -> None:
@@ -47,12 +51,13 @@ def advise_on_steps(scene: Scene, plan: Plan, *, named: bool) -> None:
     leave this advice out.
     """
     plan.named = named
-    if "velocity" in plan.variables:
+    if "velocity" in plan.variables and scene.setup.periodic and scene.ds.sizes["time"] > 1:
         plan.stretch = _stretch_of(scene)
     if _depends_on_support(plan):
         plan.support = support_of(scene, plan)
     if plan.undercut is None:  # else `advise` has warned of the cause
-        _warn(_OF_STEPS, scene, plan)
+        for about, text in _of_steps(scene, plan):
+            warn_once(about, text)
 
 
 def _stretch_of(scene: Scene) -> NDArray | None:
@@ -63,9 +68,9 @@ def _stretch_of(scene: Scene) -> NDArray | None:
     ds = scene.ds
     box = scene.columns.get("box")
     moves = "lattice_velocity" in scene.columns
-    if box is None or moves or not scene.setup.periodic or "time" not in box.dims:
+    if box is None or moves or "time" not in box.dims:
         return None
-    if not is_in_memory(box) or len(box) < 2 or not times_are_known(ds):
+    if not is_in_memory(box) or not times_are_known(ds):
         return None
     lengths = np.diff(box.to_numpy(), axis=-1)[..., 0]
     periodic = [axis in scene.setup.periodic for axis in COMPONENTS]
@@ -74,13 +79,6 @@ def _stretch_of(scene: Scene) -> NDArray | None:
         return None
     rates = np.diff(np.log(lengths), axis=0) / np.diff(ds["time"].to_numpy())[:, None]
     return np.stack([rates.min(axis=0), rates.max(axis=0)], axis=1)
-
-
-def _warn(advice: Iterable[Callable[[Scene, Plan], Warnings]], scene: Scene, plan: Plan) -> None:
-    """Warn by each piece of advice, once a call for what it is about."""
-    for warnings_of in advice:
-        for about, text in warnings_of(scene, plan):
-            warn_once(about, text)
 
 
 def _depends_on_support(plan: Plan) -> bool:
@@ -96,25 +94,35 @@ def _depends_on_support(plan: Plan) -> bool:
 # --- of all plans ----------------------------------------------------------------------------------
 
 
-def _unknown_gradients(scene: Scene, plan: Plan) -> Warnings:
-    """Warn of fields of a velocity gradient that no axis shows."""
+def _of_plan(scene: Scene, plan: Plan) -> Warnings:
+    """Yield the advice on any plan."""
     options = plan.options
-    if options.averaged_gradient != "unknown":
-        return
-    lost = [name for name in plan.requested if takes_gradient(name, options)]
+    if options.averaged_gradient == "unknown":
+        yield from _unknown_gradients(plan)
+    text = about_width(scene, min(plan.widths), plan.undercut)
+    if text:
+        yield "width", text
+    has_cut = len(plan.nodes.seen) > len(plan.nodes.spacing)
+    if has_cut and scene.periods and not scene.cylindrical:
+        yield from _cuts(scene, plan)
+    if options.gradient == "kernel" and {"mass_slope", "momentum_slope"} & plan.moments.keys():
+        yield from _jumping_kernels(plan.kernel)
+    if plan.nodes.fitted and plan.nodes.count >= LARGE:
+        yield from _strays(scene, plan.nodes)
+    ids = scene.columns["particle_id"]
+    if not ids.size or (is_in_memory(ids) and not (ids.to_numpy() != PADDING).any()):
+        yield from _nothing_left(scene.ds)
+
+
+def _unknown_gradients(plan: Plan) -> Warnings:
+    """Warn of fields of a velocity gradient that no axis shows."""
+    lost = [name for name in plan.requested if takes_gradient(name, plan.options)]
     if lost:
         text = (
             f"{', '.join(lost)}: NaN, as no axis is resolved or fixed, and so the velocity has no neighbours to differ "
             "from: resolve the axis that it varies along, axes='z' for example, and average the result"
         )
         yield "unknown gradients", text
-
-
-def _widths(scene: Scene, plan: Plan) -> Warnings:
-    """Warn of a kernel that sees single grains or is larger than the extent of all, or of another unit."""
-    text = about_width(scene, min(plan.widths), plan.undercut)
-    if text:
-        yield "width", text
 
 
 def about_width(scene: Scene, width: float, undercut: str | None) -> str:
@@ -153,7 +161,7 @@ def _cuts(scene: Scene, plan: Plan) -> Warnings:
     nodes = plan.nodes
     for k, a in enumerate(COMPONENTS):
         is_fixed = a in nodes.seen and a not in nodes.spacing
-        if scene.cylindrical or not is_fixed or a not in scene.periods:
+        if not is_fixed or a not in scene.periods:
             continue
         low, high = scene.edges[a]
         # grains and cuts of scenes that were shifted, or are not wrapped, are beyond an edge by up
@@ -169,12 +177,8 @@ def _cuts(scene: Scene, plan: Plan) -> Warnings:
             yield f"cut along {a}", text
 
 
-def _jumping_kernels(scene: Scene, plan: Plan) -> Warnings:
+def _jumping_kernels(kernel: Kernel) -> Warnings:
     """Warn of gradients of a kernel that jumps, or whose slope does."""
-    slopes = {"mass_slope", "momentum_slope"} & plan.moments.keys()
-    if plan.options.gradient != "kernel" or not slopes:
-        return
-    kernel = plan.kernel
     if kernel.smoothness == 0:
         text = (
             f"the {kernel.name} kernel is continuous, but its slope jumps at its cutoff: its gradient is exact almost "
@@ -189,11 +193,10 @@ def _jumping_kernels(scene: Scene, plan: Plan) -> Warnings:
         yield "kernel of gradients", text
 
 
-def _strays(scene: Scene, plan: Plan) -> Warnings:
+def _strays(scene: Scene, nodes: Nodes) -> Warnings:
     """Warn of a mesh with many nodes for each particle, as of particles that are far from the others."""
-    nodes = plan.nodes
     particles = max(1, scene.ds.sizes["particle"])
-    if nodes.fitted and nodes.count >= LARGE and nodes.count > _MANY * particles:
+    if nodes.count > _MANY * particles:
         text = (
             f"the automatic mesh has {' x '.join(map(str, nodes.sizes))} nodes, {nodes.count / particles:.3g} for each "
             f"particle: {about_strays(scene)}"
@@ -201,18 +204,14 @@ def _strays(scene: Scene, plan: Plan) -> Warnings:
         yield "strays", text
 
 
-def _nothing_left(scene: Scene, plan: Plan) -> Warnings:
+def _nothing_left(ds: xr.Dataset) -> Warnings:
     """Warn of a selection that left no step or no particle, with the range of positions before."""
-    ds = scene.ds
     if ds.sizes["particle"] and not ds.sizes["time"]:
         nothing = "no step is left, as of a selection of times that holds for none"
         yield "nothing left", f"{nothing}; fields are those of no grain"
         return
-    ids = scene.columns["particle_id"]
-    is_padding = is_in_memory(ids) and not (ids.to_numpy() != PADDING).any()
     # a scene that never had particles has no range
-    known = {"particle_lower", "particle_upper"} <= ds.attrs.keys()
-    if known and (is_padding or not ids.size):
+    if {"particle_lower", "particle_upper"} <= ds.attrs.keys():
         ends = zip(COMPONENTS, ds.attrs["particle_lower"], ds.attrs["particle_upper"], strict=True)
         ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in ends)
         text = (
@@ -222,14 +221,11 @@ def _nothing_left(scene: Scene, plan: Plan) -> Warnings:
         yield "nothing left", text
 
 
-_OF_PLANS = (_unknown_gradients, _widths, _cuts, _jumping_kernels, _strays, _nothing_left)
-
-
 # --- of fields of single steps ---------------------------------------------------------------------
 
 
-def _without_friction(scene: Scene, plan: Plan) -> Warnings:
-    """Warn of a redundancy that counts sliding contacts as sticking."""
+def _of_steps(scene: Scene, plan: Plan) -> Warnings:
+    """Yield the advice on fields of single steps."""
     if "redundancy_number" in plan.requested and not plan.options.sliding:
         text = (
             "redundancy_number without friction= counts sliding contacts as sticking: where all slide it is "
@@ -237,17 +233,21 @@ def _without_friction(scene: Scene, plan: Plan) -> Warnings:
             "a large one where none slides)"
         )
         yield "redundancy without friction", text
+    variances = [name for name in _OF_ONE_VARIANCE if name in plan.requested]
+    if variances and plan.named and plan.options.temperature == "unbiased":
+        yield from _mixed_masses(scene, plan, variances)
+    if any(plan.extent.values()) and not scene.cylindrical:
+        yield from _long_extent(scene, plan.extent)
 
 
-def _mixed_masses(scene: Scene, plan: Plan) -> Warnings:
+def _mixed_masses(scene: Scene, plan: Plan, fields: Sequence[str]) -> Warnings:
     """Warn of a temperature that was asked for of grains of different masses together.
 
     Where the temperature is one of all fields, nobody asked for it: packings of many sizes, most of
     them at rest, would all warn.
     """
-    fields = [name for name in _OF_ONE_VARIANCE if name in plan.requested]
     smallest = scene.sizes.get("dmin", 0.0)
-    if not plan.named or not fields or plan.options.temperature != "unbiased" or not smallest > 0:
+    if not smallest > 0:
         return
     masses = (scene.sizes["dmax"] / smallest) ** 3
     if masses <= _ALIKE:
@@ -264,11 +264,9 @@ def _mixed_masses(scene: Scene, plan: Plan) -> Warnings:
     yield "mixed masses", text
 
 
-def _long_extent(scene: Scene, plan: Plan) -> Warnings:
+def _long_extent(scene: Scene, extent: Mapping[str, float | None]) -> Warnings:
     """Warn of a length of an average that is many times that of the scene."""
-    if scene.cylindrical:
-        return
-    for axis, length in plan.extent.items():
+    for axis, length in extent.items():
         known = length_along(scene, axis, scene.sizes.get("d43", np.nan))
         if length and length > _LONG * known:
             text = (
@@ -277,6 +275,3 @@ def _long_extent(scene: Scene, plan: Plan) -> Warnings:
                 f"it out where the box has edges along {axis!r}, or give extent={{{axis!r}: {known:.4g}}}"
             )
             yield "long extent", text
-
-
-_OF_STEPS = (_without_friction, _mixed_masses, _long_extent)

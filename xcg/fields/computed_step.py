@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,7 +75,12 @@ class ComputedStep:
     def _warn(self) -> None:
         plan = self.plan
         call = active_call()
-        effects = self._unknown_temperatures()
+        effects: dict[str, str] = {}
+        temperatures = [name for name in _TEMPERATURES if name in self.fields]
+        if temperatures and plan.options.temperature != "biased":
+            effects |= self._unknown_temperatures(temperatures)
+        if plan.named and plan.options.temperature == "mixture" and "density" in self.fields:
+            effects |= self._unknown_in_phases()
         # extent=1 m asks for an integral in place of an average: no warning
         if "volume_fraction" in self.fields and 1.0 not in plan.extent.values():
             effects |= self._fraction()
@@ -88,14 +93,17 @@ class ComputedStep:
         if plan.support is not None and (plan.named or effects):
             effects |= self._floors()
         texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
-        if not texts:
-            return
+        if texts:
+            self._warn_of_few_grains(texts)
+
+    def _warn_of_few_grains(self, effects: Sequence[str]) -> None:
+        """Warn of what few grains at a node do to fields."""
         seen = "too few grains"
-        if plan.support is not None:
-            seen = f"only about {plan.support.text()}"
+        if self.plan.support is not None:
+            seen = f"only about {self.plan.support.text()}"
         warn_user(
-            f"{self.source}: a node sees {seen}, so that in a single step {'; '.join(texts)}: take the time_average of "
-            f"the result, average along axes (axes=), or increase width= (it is {plan.kernel.width:.3g})"
+            f"{self.source}: a node sees {seen}, so that in a single step {'; '.join(effects)}: take the time_average "
+            f"of the result, average along axes (axes=), or increase width= (it is {self.plan.kernel.width:.3g})"
         )
 
     def _floors(self) -> dict[str, str]:
@@ -114,19 +122,19 @@ class ComputedStep:
             return {}
         return {"floors": f"{', '.join(texts)} where the true value is 0"}
 
-    def _unknown_temperatures(self) -> dict[str, str]:
-        """Return which temperatures are NaN at most nodes, or at many nodes of a phase."""
-        plan = self.plan
-        effects: dict[str, str] = {}
-        if plan.options.temperature == "biased":
-            return effects
-        for name in (name for name in _TEMPERATURES if name in self.fields):
+    def _unknown_temperatures(self, names: Sequence[str]) -> dict[str, str]:
+        """Return which temperatures are NaN at most nodes."""
+        effects = {}
+        for name in names:
             values = self.fields[name]
             known = np.count_nonzero(np.isfinite(values.reshape(len(values), -1)[:, 0]))
             if 2 * known < self.reached:
                 effects[name] = f"{name} is NaN at {self.reached - known} of {self.reached} nodes"
-        if not plan.named or plan.options.temperature != "mixture" or "density" not in self.fields:
-            return effects
+        return effects
+
+    def _unknown_in_phases(self) -> dict[str, str]:
+        """Return which temperatures are NaN at many nodes of a phase."""
+        effects = {}
         reached = self.fields["density"] > 0
         count = np.maximum(reached.sum(axis=0), 1)
         for name in ("granular_temperature", "mixture_temperature"):
@@ -136,7 +144,7 @@ class ComputedStep:
             shares = lost.sum(axis=0) / count
             phases = [
                 f"{100 * share:.0f} % of the nodes of phase {group}"
-                for group, share in zip(plan.groups, shares[1:], strict=True)
+                for group, share in zip(self.plan.groups, shares[1:], strict=True)
                 if share > UNKNOWN
             ]
             if phases:

@@ -173,7 +173,9 @@ class CoarseGraining(FrameAnalysis):
         """Name the formula, source and floor of each field, and what the scene lacks for it."""
         plan = self.plan
         system = plan.setup.unit_system
-        floors = numbers_of_floors(plan)
+        floors: dict[str, float] = {}
+        if plan.support is not None:
+            floors = numbers_of_floors(plan, plan.support)
         optional = {n for moment in plan.moments.values() for n in moment.optional}
         absent = [n for n in ROTATION if n in optional and n not in plan.variables]
         for name, field in plan.rows.items():

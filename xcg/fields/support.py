@@ -24,11 +24,9 @@ def text_of_floors(scene: Scene, plan: Plan) -> str | None:
     return f"{values} in one step where the true value is 0, from {support.text()} at a node"
 
 
-def numbers_of_floors(plan: Plan) -> dict[str, float]:
+def numbers_of_floors(plan: Plan, support: Support) -> dict[str, float]:
     """Return the floor of each requested field that has one, in two digits, for its attributes."""
-    if plan.support is None:
-        return {}
-    floors = floors_of(plan, plan.support)
+    floors = floors_of(plan, support)
     return {name: float(f"{floor:.2g}") for name, (floor, _) in floors.items()}
 
 
