@@ -12,9 +12,9 @@ import xarray as xr
 from xcg.fields.accessible import accessible_of, walls_of, with_accessible
 from xcg.fields.advice import about_width, advise, advise_on_steps
 from xcg.fields.evaluate import CoarseGraining
-from xcg.fields.grids.frames import Cylindrical, check_axis, in_frame
+from xcg.fields.grids.frames import Cylindrical, Rotated, check_axis, in_frame
 from xcg.fields.grids.grid import MeshTooLargeError
-from xcg.fields.layout import about_strays, check_size, kernels_of, undercut_size
+from xcg.fields.layout import LARGE, about_strays, check_size, kernels_of, undercut_size
 from xcg.fields.like import request_like, with_nodes_of
 from xcg.fields.plan import Plan, effective_count, make_plan
 from xcg.fields.presets import lammps, pysammos
@@ -100,26 +100,38 @@ def planned(scene: Scene, request: Request) -> Plan:
         As `make_plan`; or if an automatic mesh is too large, with the particles that are far from
         the others.
     """
-    by_sizes = request.width is request.spacing is None and isinstance(request.kernel, str)
     try:
         plan = make_plan(scene, request)
     except MeshTooLargeError as error:
-        way_out = about_strays(scene)
-        if by_sizes:
-            way_out = f"check that sizes and positions have one unit; {way_out}"
-        width = min(kernel.width for kernel in kernels_of(scene, request))
-        cause = about_width(scene, width, undercut_size(scene, request, width))
-        raise ValueError("; ".join(filter(None, [str(error), cause, way_out]))) from None
-    numbers = sum(map(math.prod, plan.shapes.values()))
-    check_size(scene, plan.nodes, numbers, by_sizes=by_sizes)
+        raise ValueError(_too_large(scene, request, error)) from None
+    if plan.nodes.count >= LARGE:
+        numbers = sum(map(math.prod, plan.shapes.values()))
+        check_size(scene, plan.nodes, numbers, by_sizes=_by_sizes(request))
     return plan
+
+
+def _by_sizes(request: Request) -> bool:
+    """Return whether width and spacing follow from the sizes of the grains."""
+    return request.width is request.spacing is None and isinstance(request.kernel, str)
+
+
+def _too_large(scene: Scene, request: Request, error: MeshTooLargeError) -> str:
+    """Return the message about a mesh of too many nodes, with its likely cause."""
+    way_out = about_strays(scene)
+    if _by_sizes(request):
+        way_out = f"check that sizes and positions have one unit; {way_out}"
+    width = min(kernel.width for kernel in kernels_of(scene, request))
+    cause = about_width(scene, width, undercut_size(scene, request, width))
+    return "; ".join(filter(None, [str(error), cause, way_out]))
 
 
 def _compute(
     scene: Scene, request: Request, plan: Plan | None = None, *, of_steps: bool
 ) -> xr.Dataset:
     named = request.fields is not None
-    walls = walls_of(request)
+    walls = []
+    if request.surfaces is not None or request.per is not None:
+        walls = walls_of(request)
     like = request.like
     if like is not None:
         request = request_like(request)
@@ -205,11 +217,18 @@ def prepare(scene: Scene, request: AnyRequest) -> tuple[Scene, AnyRequest]:
         request = replace(request, by_body=None)
     if request.frame is None:
         return scene, request
+    return _in_frame(scene, request, request.frame)
+
+
+def _in_frame(
+    scene: Scene, request: AnyRequest, frame: Rotated | Cylindrical
+) -> tuple[Scene, AnyRequest]:
+    """Turn a scene into a frame, unless it is in one, and the axes of a request with it."""
     if not scene.cylindrical:
         ds = with_measures(scene.ds)
-        if isinstance(request.frame, Cylindrical):
-            check_axis(ds, request.frame)
-        scene = Scene(in_frame(ds, request.frame))
+        if isinstance(frame, Cylindrical):
+            check_axis(ds, frame)
+        scene = Scene(in_frame(ds, frame))
     if not scene.cylindrical:
         return scene, replace(request, frame=None)
     letters = {ord("r"): "x", ord("t"): "y"}  # of the components that stand in their places

@@ -47,6 +47,9 @@ WORTH_SHARING = 1_500_000
 _ONCE = 30
 
 
+_CARTESIAN: dict[str, dict[str, str]] = {
+    a: {"long_name": f"position along {a}", "axis": a.upper()} for a in COMPONENTS
+}
 _CYLINDRICAL: dict[str, dict[str, str]] = {
     "r": {"long_name": "distance from the axis"},
     "theta": {"units": "rad", "long_name": "angle about the axis"},
@@ -82,41 +85,29 @@ class CoarseGraining(FrameAnalysis):
         plan = self.plan
         options = plan.options
         length = units_in("m", plan.setup.unit_system)
-        of_scene = scene.ds.attrs
-        facts = {name: of_scene[name] for name in ABOUT if name in of_scene}
-        choices = plan.attrs
         coords: dict[str, xr.Variable] = {}
         # titles of plots name coordinates in this order, and xarray cuts them after 50 characters
-        if np.ndim(choices["width"]) == 0:
-            coords["width"] = annotated((), choices["width"], length, "width of the kernel")
-        wrapped = {
-            a: scene.lasting_periods[k] for k, a in enumerate(COMPONENTS) if options.wrapped[k]
-        }
+        if len(plan.widths) == 1:
+            coords["width"] = annotated((), plan.widths[0], length, "width of the kernel")
+        axes = _CYLINDRICAL if scene.cylindrical else _CARTESIAN
         for name, coord in plan.nodes.coords.items():
             attrs: dict[str, Any] = {}
-            if scene.cylindrical and name in _CYLINDRICAL:
-                attrs = {"units": length} | _CYLINDRICAL[name]
-            elif name in COMPONENTS:
-                attrs = {
-                    "units": length,
-                    "long_name": f"position along {name}",
-                    "axis": name.upper(),
-                }
-            if name in wrapped:
-                attrs["period"] = wrapped[name]  # also of a part of the nodes
+            if name in axes:
+                attrs = {"units": length} | axes[name]
             coords[name] = xr.Variable(coord.dims, coord, attrs | coord.attrs)
+        for k in np.flatnonzero(options.wrapped):
+            period = scene.lasting_periods[k]
+            coords[COMPONENTS[k]].attrs["period"] = period  # also of a part of the nodes
         if plan.by:
             coords["phase"] = phases_of(plan.by, plan.groups)
         fields = plan.rows.values()
-        axes = list(COMPONENTS)
-        if scene.cylindrical:
-            axes = list(_CYLINDRICAL)
         for dim in ("component", "direction")[: max(field.rank for field in fields)]:
-            coords[dim] = xr.Variable(dim, axes)
+            coords[dim] = xr.Variable(dim, list(axes))
         if any(field.paired for field in fields):
             others = [*map(str, plan.groups), "wall"]
             coords["other_phase"] = xr.Variable("other_phase", others)
-        coords[SETUP] = setup_of(facts | choices)
+        facts = {name: scene.ds.attrs[name] for name in ABOUT if name in scene.ds.attrs}
+        coords[SETUP] = setup_of(facts | plan.attrs)
         return coords
 
     def attrs(self, scene: Scene) -> dict[str, Any]:
@@ -138,32 +129,12 @@ class CoarseGraining(FrameAnalysis):
         for name, values in fields.items():
             at_nodes[name] = values.reshape(-1, plan.phases, *values.shape[len(plan.dims) :])
         scale = scale_of(plan, lattice, source)
-        sums = Sums(plan, frame, lattice, scale, source, threads)
-        program = program_for(plan.fields, plan.options, len(plan.groups))
-        untraced = plan.fields
-        if program:
-            untraced = tuple(name for name in plan.fields if name not in program.widths)
-        options = plan.options
-        if untraced:  # with NumPy; the box may change
-            options = replace(options, wrapped=nodes.fills(lattice.axis_periods))
-        reached: list[int] = []
-
-        def fill(block: Block) -> None:
-            filled = sums.over(block)
-            places = block.places
-            reached.append(int(np.count_nonzero(~np.isnan(filled[0][0, :, 0]))))
-            if program:
-                program.run(sums.table, filled, places, at_nodes, block.order)
-            if untraced:
-                evaluated = registry.evaluate(untraced, sums.moments(filled), options)
-                for name, values in evaluated.items():
-                    at_nodes[name][places] = values.swapaxes(0, 1)
-
-        if options.gradient == "finite_difference":  # of all nodes at once
+        algebra = _Algebra(Sums(plan, frame, lattice, scale, source, threads), at_nodes, lattice)
+        if plan.options.gradient == "finite_difference":  # of all nodes at once
             blocks = nodes.blocks(nodes.count, 1)
         else:
             blocks = nodes.blocks(plan.block_nodes, threads)
-        for_each(blocks, fill, threads)
+        reached = for_each(blocks, algebra.fill, threads)
         if nodes.undirected.size:
             _leave_out_directions(plan, at_nodes)
         ComputedStep(plan, frame, lattice, source, at_nodes, sum(reached), scale).warn()
@@ -189,6 +160,47 @@ class CoarseGraining(FrameAnalysis):
                 attrs["floor_of_one_step"] = floors[name]
             result.variables[name].attrs = attrs
         return result.set_coords([n for n in plan.fields if n not in plan.requested])
+
+
+class _Algebra:
+    """Algebra from the sums of a step to its fields: a program, and NumPy for formulas that it does not hold.
+
+    Parameters
+    ----------
+    sums : Sums
+        Sums of the step.
+    out : mapping
+        Fields (nodes, phases, ...) by name, which are filled.
+    lattice : Lattice
+        Box of the step, which may change.
+    """
+
+    def __init__(self, sums: Sums, out: Mapping[str, NDArray], lattice: Lattice) -> None:
+        plan = sums.plan
+        self.sums = sums
+        self.out = out
+        self.options = plan.options
+        self.program = program_for(plan.fields, plan.options, len(plan.groups))
+        self.untraced = plan.fields
+        if self.program:
+            held = self.program.widths
+            self.untraced = tuple(name for name in plan.fields if name not in held)
+        if self.untraced:
+            wrapped = plan.nodes.fills(lattice.axis_periods)
+            self.options = replace(plan.options, wrapped=wrapped)
+
+    def fill(self, block: Block) -> int:
+        """Compute the fields at the nodes of a block; return how many of them grains reach."""
+        filled = self.sums.over(block)
+        places = block.places
+        if self.program:
+            self.program.run(self.sums.table, filled, places, self.out, block.order)
+        if self.untraced:
+            moments = self.sums.moments(filled)
+            evaluated = registry.evaluate(self.untraced, moments, self.options)
+            for name, values in evaluated.items():
+                self.out[name][places] = values.swapaxes(0, 1)
+        return int(np.count_nonzero(~np.isnan(filled[0][0, :, 0])))
 
 
 def _optional(name: str, options: Options) -> set[str]:

@@ -31,48 +31,57 @@ def nodes_of(scene: Scene, request: Request, kernels: Sequence[Kernel]) -> Nodes
     plane = scene.setup.plane
     at: Mapping[str, Any] = request.at or {}
     smallest = min(kernels, key=lambda k: k.cutoff)
-    widest = max(kernels, key=lambda k: k.cutoff)
     if not scene.cylindrical and any(np.ndim(place) > 0 for place in at.values()):
         _check_pointwise(request)
         return make_points(at, plane=plane, cutoff=smallest.cutoff)
-    spacing = _spacing_of(scene, request, kernels)
-    places = at, request.bounds or {}, spacing
-    automatic = automatic_bounds(scene, widest.cutoff)
-    if not scene.cylindrical:
-        return make_grid(
-            request.axes_of(plane),
-            *places,
-            plane=plane,
-            cutoff=smallest.cutoff,
-            automatic=automatic,
-            period=scene.periods,
-        )
+    spacing: Any = smallest.width
+    if request.spacing is not None:
+        spacing = _spacing_of(scene, request.spacing)
+    automatic = automatic_bounds(scene, max(k.cutoff for k in kernels))
+    if scene.cylindrical:
+        return _rings_of(scene, request, smallest, spacing, automatic)
+    return make_grid(
+        request.axes_of(plane),
+        at,
+        request.bounds or {},
+        spacing,
+        plane=plane,
+        cutoff=smallest.cutoff,
+        automatic=automatic,
+        period=scene.periods,
+    )
+
+
+def _rings_of(
+    scene: Scene,
+    request: Request,
+    kernel: Kernel,
+    spacing: Any,
+    automatic: Mapping[str, Sequence[float]],
+) -> Nodes:
+    """Lay the nodes of a cylinder; arguments as those of `make_rings`."""
     assert isinstance(request.frame, Cylindrical)
     if request.gradient == "finite_difference":
         raise ValueError(
             "gradient='finite_difference' takes a mesh along x, y and z, and a cylindrical frame has none: "
             "leave it out"
         )
-    if {"x", "y"} <= set(automatic) and scene.radius is not None:
-        automatic["r"] = (0.0, scene.radius + widest.cutoff)
+    plane = scene.setup.plane
     return make_rings(
         request.axes_of(letters_of(plane)),
-        *places,
+        request.at or {},
+        request.bounds or {},
+        spacing,
         plane=plane,
-        kernel=smallest,
+        kernel=kernel,
         error=request.frame.error,
         automatic=automatic,
         period=scene.periods,
     )
 
 
-def _spacing_of(
-    scene: Scene, request: Request, kernels: Sequence[Kernel]
-) -> float | dict[str, float]:
-    """Return the distance of nodes (m), for all axes or by axis: as asked for, or the smallest width."""
-    spacing: Any = request.spacing
-    if spacing is None:
-        return min(k.width for k in kernels)
+def _spacing_of(scene: Scene, spacing: Any) -> float | dict[str, float]:
+    """Return the distance of nodes (m), for all axes or by axis, of the argument `spacing`."""
     advice = "by default it is the width"
     if isinstance(spacing, str):
         return resolve_length("spacing", spacing, scene.sizes, advice)
@@ -110,6 +119,8 @@ def automatic_bounds(scene: Scene, cutoff: float) -> dict[str, tuple[float, floa
         for a, low, high in zip(COMPONENTS, *scene.corners, strict=True):
             if a not in periodic or a not in scene.edges:
                 bounds[a] = (low - cutoff, high + cutoff)
+    if scene.cylindrical and {"x", "y"} <= bounds.keys() and scene.radius is not None:
+        bounds["r"] = (0.0, scene.radius + cutoff)
     return bounds
 
 
