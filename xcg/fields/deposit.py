@@ -157,16 +157,21 @@ def grains(step: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
         waiting.append((number, None))
         width += number.width
 
-    def columns() -> Iterator[NDArray]:
-        while waiting:
-            moment, values = waiting.pop(0)
-            if values is None:
-                values = step.column(moment, images)
-            yield values
-
     run = Pass(step.plan.group_count, level + _in_fours(width), table, level)
-    _add_points(step, run, images, step.phase[images.row], flow=step.flow, constants=columns())
+    constants = _columns(step, images, waiting)
+    _add_points(step, run, images, step.phase[images.row], flow=step.flow, constants=constants)
     return [run]
+
+
+def _columns(
+    step: StepArrays, images: Images, waiting: list[tuple[Moment, NDArray | None]]
+) -> Iterator[NDArray]:
+    """Yield the columns of moments, made or as they are, and let go of each."""
+    while waiting:
+        moment, values = waiting.pop(0)
+        if values is None:
+            values = step.column(moment, images)
+        yield values
 
 
 def _in_fours(width: int) -> int:
@@ -314,14 +319,9 @@ def _add_points(
         first += values.shape[1]
         del values  # before the next are made
     velocity, mass = flow or (np.zeros((count, 3)), np.zeros(count))
-    of_squares = {column for column in loops.SQUARES if column < level}
-    of_moments = [numbers.ravel().tolist() for numbers, _ in run.moments.values()]
-    squares = any(not of_squares.isdisjoint(numbers) for numbers in of_moments)
-    if not count and not squares:
+    has_squares = run.has_squares
+    if not count and not has_squares:
         return
-    beyond = step.lattice
-    if step.lattice.vectors is not None:  # images are places of their own
-        beyond = Lattice(np.full(3, np.inf))
     origin = step.origin
     for cutoff, smoothing in step.smoothings.items():
         rows = images.order
@@ -333,12 +333,21 @@ def _add_points(
             rows, batches, position, velocity, mass, columns, phase, origin, cutoff
         )
         translations = None
-        if squares:
+        if has_squares:
             translations = step.translations(cutoff)
-            of_groups = np.flatnonzero(of_cutoff)
-            run.squared.append(Squared(points, beyond, of_groups, smoothing))
+            _add_squared(step, run, points, np.flatnonzero(of_cutoff), smoothing)
         flags = level, translations, by_gradient
         run.fills.append(partial(_fill, points, smoothing, flags))
+
+
+def _add_squared(
+    step: StepArrays, run: Pass, points: loops.Grains, groups: NDArray, smoothing: Smoothing
+) -> None:
+    """Add the grains of the groups of one cutoff to those whose weights are squared."""
+    beyond = step.lattice
+    if beyond.vectors is not None:  # images are places of their own
+        beyond = Lattice(np.full(3, np.inf))
+    run.squared.append(Squared(points, beyond, groups, smoothing))
 
 
 def _fill(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
-from xcg.compiled.points import NONE, Grains
+from xcg.compiled.points import NONE, SQUARES, Grains
 from xcg.compiled.reach import spatial_order
 from xcg.fields.plan import Plan
 from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
@@ -94,6 +94,12 @@ class Pass:
     fills: list[Fill] = field(default_factory=list)
     squared: list[Squared] = field(default_factory=list)
 
+    @property
+    def has_squares(self) -> bool:
+        """Return whether squared weights are summed."""
+        of_squares = [column for column in SQUARES if column < self.level]
+        return any(np.isin(columns, of_squares).any() for columns, _ in self.moments.values())
+
 
 _HIDDEN_SHEAR = (
     "the box is sheared across an axis that is averaged, and {names} take velocities at contacts as they are written, "
@@ -166,13 +172,9 @@ class StepArrays:
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
         self.phase = phase_of(self.frame, plan.by, plan.groups, source)
-        contacts = None  # no moment takes them
+        self.contacts = cast(Contacts, None)  # no moment takes them
         if "contact_i" in self.frame:
-            contacts = Contacts.of(self.frame, lattice, source)
-        self.contacts = cast(Contacts, contacts)
-        moving = any(WALL_VELOCITY in moment.optional for moment in plan.moments.values())
-        if self.contacts and moving and "frozen" in frame:
-            self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, source)
+            self._take_contacts(frame, lattice)
         at_rest = np.broadcast_to(0.0, (self.count, 3))
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", at_rest))
         self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
@@ -198,6 +200,13 @@ class StepArrays:
         if self.grains.drift is not None:
             velocity = velocity + self.grains.drift
         self.flow = (velocity, self.mass[self.grains.row])
+
+    def _take_contacts(self, frame: Frame, lattice: Lattice) -> None:
+        """Find the contacts of the step, and the velocities of walls that are frozen grains of its `frame`."""
+        self.contacts = Contacts.of(self.frame, lattice, self.source)
+        moving = any(WALL_VELOCITY in moment.optional for moment in self.plan.moments.values())
+        if moving and "frozen" in frame:
+            self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, self.source)
 
     def _take_off_shear(self, gradient: NDArray, lattice: Lattice) -> None:
         """Make velocities relative to the motion that a sheared box imposes along averaged axes, its `gradient`.

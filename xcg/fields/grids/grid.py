@@ -222,18 +222,27 @@ def check_mesh(
     x = position
     reaches = [(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes]
     if not np.all(reaches, axis=0).any():
-        grains = ", ".join(
-            f"{COMPONENTS[k]} from {x[:, k].min():.6g} to {x[:, k].max():.6g}" for k in axes
-        )
-        ends = ", ".join(f"{COMPONENTS[k]} from {first[k]:.6g} to {last[k]:.6g}" for k in axes)
-        warn_once(
-            "reach",
-            f"{source}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {ends}, "
-            f"and the kernel reaches {cutoff:.4g}; check bounds=, at= and the units of lengths",
-        )
+        _warn_of_reach(x, nodes, axes, cutoff, source)
         return
     for k in [k for k in axes if COMPONENTS[k] in nodes.fitted]:
         warn_beyond(COMPONENTS[k], position[:, k], first[k], last[k], source, room=0.5 * cutoff)
+
+
+def _warn_of_reach(
+    x: NDArray, nodes: Nodes, axes: Sequence[int], cutoff: float, source: str
+) -> None:
+    """Warn that no grain at x (n, 3) reaches any node, by their coordinates along some axes."""
+    grains = ", ".join(
+        f"{COMPONENTS[k]} from {x[:, k].min():.6g} to {x[:, k].max():.6g}" for k in axes
+    )
+    ends = zip(COMPONENTS, nodes.lower, nodes.upper, strict=True)
+    spans = [f"{a} from {first:.6g} to {last:.6g}" for a, first, last in ends]
+    of_nodes = ", ".join(spans[k] for k in axes)
+    warn_once(
+        "reach",
+        f"{source}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {of_nodes}, "
+        f"and the kernel reaches {cutoff:.4g}; check bounds=, at= and the units of lengths",
+    )
 
 
 def warn_beyond(

@@ -210,12 +210,18 @@ class Nodes:
         """
         if self.parts is not None:
             return self.parts
-        parts = np.ones(3, int)
-        shape = np.array(self.shape)
         wanted = math.ceil(self.count / size)
         if threads > 1:
             wanted = max(wanted, 2 * threads)
-        while parts.prod() < min(wanted, self.count):
+        if wanted <= 1:
+            return [MeshBlock((0, 0, 0), self.shape, self.shape)]
+        return self._divided(min(wanted, self.count))
+
+    def _divided(self, wanted: int) -> list[Block]:
+        """Divide a mesh into so many blocks or more."""
+        parts = np.ones(3, int)
+        shape = np.array(self.shape)
+        while parts.prod() < wanted:
             # rows of nodes run along the last axis: cut them later
             parts[np.argmax(np.where(parts < shape, shape / parts / (1, 1, 2), 0.0))] += 1
         edges = [
