@@ -346,6 +346,10 @@ TABLE = [
         "test_angles_of_contacts_whose_stress_and_fabric_have_one_axis",
     ),
     Mutation(
+        "fields/formulas/doubts.py", "1 + (1 - repeated) * (steps - 1)", "1 + repeated * (steps - 1)",
+        "test_steps_that_are_written_again_are_counted",
+    ),
+    Mutation(
         "fields/computed_step.py", "slope = float(x @ v) / squares", "slope = float(x @ v)",
         "test_a_compressed_box_holds_the_flow_of_its_images",
     ),
@@ -497,7 +501,7 @@ TABLE = [
         "test_a_drift_from_run_to_run_is_scatter",
     ),
     Mutation(
-        "fields/formulas/block_errors.py", "~(next_error <= _ROUNDING", "~(next_error <= 0 * _ROUNDING",
+        "fields/formulas/block_errors.py", "~(next_error <= ROUNDING", "~(next_error <= 0 * ROUNDING",
         "test_steady_series_are_silent",
     ),
     Mutation(

@@ -241,7 +241,7 @@ def _beside(
         if name not in unchecked:
             weights[name] = row.weight if row else ""
     call = active_call()
-    steadiness = Steadiness(blocks, weights, count, _SAMPLE, call)
+    steadiness = Steadiness(blocks, weights, samples, _SAMPLE, call)
     beside = {}
     for name in map(str, mean.data_vars):
         row = rows.get(name)

@@ -11,7 +11,7 @@ import xarray as xr
 # Blocks fewer than this tell too little of their own scatter.
 MIN_BLOCKS = 16
 MIN_BIAS_BLOCKS = 8
-_ROUNDING = 1e-6  # of the largest value
+ROUNDING = 1e-6  # of the largest value
 
 
 def block_errors(
@@ -88,7 +88,7 @@ def jackknife(
         next_error = _jackknife_error(of_others, dim)
         growths = (next_error / levels[-1].where(levels[-1] > 0)).where(~has_plateau, 1.0)
         # errors of rounding have no plateau
-        growths = growths.where(~(next_error <= _ROUNDING * abs(of_mean).max()), 1.0)
+        growths = growths.where(~(next_error <= ROUNDING * abs(of_mean).max()), 1.0)
     elif of_others.sizes[dim] >= MIN_BIAS_BLOCKS:
         count = of_others.sizes[dim]
     if count >= MIN_BIAS_BLOCKS:
@@ -127,5 +127,5 @@ def _drift(of_others: xr.Dataset, of_mean: xr.Dataset, dim: str) -> xr.Dataset:
     rest = (deviation**2).sum(dim, skipna=False) - slope**2 * squares
     error = (rest.clip(0.0) / (count - 2) / squares) ** 0.5
     change = abs(slope) * count * (count - 1)
-    is_rounding = change <= _ROUNDING * abs(of_mean).max()
+    is_rounding = change <= ROUNDING * abs(of_mean).max()
     return xr.where(is_rounding, 0.0, slope / error.where(error > 0, np.finfo(float).tiny))

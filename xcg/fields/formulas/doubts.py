@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import Once, active_call, warn_once
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, Jackknife
+from xcg.fields.formulas.block_errors import MIN_BIAS_BLOCKS, MIN_BLOCKS, ROUNDING, Jackknife
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR
 
@@ -24,17 +25,24 @@ _FEW = 5.0
 # Share of the nodes without a temperature above which the others are too large on average: of
 # normal values so many are negative where the error is as large as the mean.
 UNKNOWN = 0.16
+_REPEATED = 0.4  # share of the steps; of steps that are written twice it is a half
 
 
 class Steadiness:
-    """Checks of the errors of one average: no trend over its steps, a plateau of its error, weight in many steps."""
+    """Checks of the errors of one average: no repeated steps, no trend, a plateau, weight in many steps."""
 
     def __init__(
-        self, blocks: Jackknife, weights: Mapping[str, str], steps: int, dim: str, call: Once
+        self,
+        blocks: Jackknife,
+        weights: Mapping[str, str],
+        samples: xr.Dataset,
+        dim: str,
+        call: Once,
     ) -> None:
         self.blocks = blocks
+        self.repeated = _share_of_repeats(samples, dim)
         self.weights = weights  # of each field that is checked, "" of sums
-        self.steps = steps
+        self.steps = samples.sizes[dim]
         self.dim = dim
         self.call = call
         tests = 0
@@ -48,18 +56,19 @@ class Steadiness:
 
         `weight` is that of each sample in the mean; None for what is no ratio of two sums.
         """
-        if self.blocks.drifts is None:
-            return error
-        drift, growth = self._shares(name)
-        if error.chunks is None:
-            error.attrs[SHARES[0]] = float(drift)
-            if growth is not None:
-                error.attrs[SHARES[1]] = float(growth)
-        zero = xr.zeros_like(drift)
-        few, effective = zero, zero
-        if weight is not None:
-            few, effective = _effective(weight, self.dim)
-        shares = [drift, zero if growth is None else growth, few, effective]
+        zero = xr.zeros_like(self.repeated)
+        drift, growth, few, effective = zero, zero, zero, zero
+        if self.blocks.drifts is not None:
+            drift, growth_if_known = self._shares(name)
+            if error.chunks is None:
+                error.attrs[SHARES[0]] = float(drift)
+                if growth_if_known is not None:
+                    error.attrs[SHARES[1]] = float(growth_if_known)
+            if growth_if_known is not None:
+                growth = growth_if_known
+            if weight is not None:
+                few, effective = _effective(weight, self.dim)
+        shares = [self.repeated, drift, growth, few, effective]
 
         # without the blocks: their graph would be pickled for each name
         sharing = [other for other, weight in self.weights.items() if weight == self.weights[name]]
@@ -99,6 +108,21 @@ def _share(mask: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
     return ((mask & known).sum(nodes) / count.where(count > 0, 1)).max()
 
 
+def _share_of_repeats(samples: xr.Dataset, dim: str) -> xr.DataArray:
+    """Return the share of samples whose sums all equal those of the one before; 0 where none changes, as at rest."""
+    if samples.sizes[dim] < 2:
+        return xr.DataArray(0.0)
+    repeats: Any = True
+    changes: Any = False
+    for values in samples.data_vars.values():
+        sums = values.variable.fillna(0)
+        equal = sums.isel({dim: slice(None, -1)}) == sums.isel({dim: slice(1, None)})
+        repeats = repeats & equal.all([other for other in equal.dims if other not in (dim, "time")])
+        rounding = ROUNDING * abs(sums).max()
+        changes = changes | (sums.max(dim) - sums.min(dim) > rounding).any()
+    return xr.DataArray((repeats & changes).mean())
+
+
 def _effective(weight: xr.DataArray, dim: str) -> tuple[xr.DataArray, xr.DataArray]:
     """Return the share of nodes where few steps have the weight of a mean, and the effective number of steps there."""
     squares = (weight**2).sum(dim)
@@ -117,8 +141,20 @@ def _warned(
     errors: NDArray,
     *shares: NDArray,
 ) -> NDArray:
-    """Return the errors of a field; warn if most nodes have a drift, no plateau of the error, or few steps."""
-    drift, growth, few, effective = (float(np.max(share)) for share in shares)
+    """Return the errors of a field; warn of repeated steps, and of most nodes with a drift, no plateau or few steps."""
+    repeated, drift, growth, few, effective = (float(np.max(share)) for share in shares)
+    different = 1 + (1 - repeated) * (steps - 1)
+    times = round(steps / different)
+    # blocks of 2, 4, 8, ... steps are of whole repeats
+    has_blocks = times.bit_count() == 1 and different >= MIN_BLOCKS
+    is_repeated = repeated > _REPEATED and not has_blocks
+    if is_repeated:
+        call.warn(
+            "repeated steps",
+            f"time_average: {100 * repeated:.0f} % of the {steps} steps repeat the one before in all fields, so that "
+            "errors are too small, as of more steps than there are: leave them out, "
+            f"f.isel(time=slice(None, None, {times})).cg.time_average()",
+        )
     if drift > 0.5:
         call.warn(
             "drift",
@@ -127,7 +163,7 @@ def _warned(
             f"leave its start out, f.isel(time=slice({(steps + 1) // 2}, None)).cg.time_average(), or take moving "
             f"windows, time_average({max(steps // 4, 1)})",
         )
-    if growth > 0.5:
+    if growth > 0.5 and not is_repeated:
         length = steps // (2 * blocks)
         call.warn(
             "plateau",
