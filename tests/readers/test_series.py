@@ -210,8 +210,13 @@ def test_automatic_chunks_follow_files_and_memory(tmp_path):
             return {"position": np.eye(3)}
 
     path = write(tmp_path / "p.txt", "")
-    assert open_scene(path, engine=Steps).chunks["time"] == (4, 4, 2)  # 10 MB of files
-    assert open_scene(path, engine=type("Short", (Steps,), {"length": 100})).chunks["time"] == (10,)
+    for length, sizes in (
+        (3_000_000, (5, 5)),  # four steps have 10 MB of files, which makes two equal tasks
+        (1_500_000, (10,)),  # seven steps have 10 MB: two tasks have more
+        (100, (10,)),
+    ):
+        engine = type("Sized", (Steps,), {"length": length})
+        assert open_scene(path, engine=engine).chunks["time"] == sizes
     step = 100 * (3 + 1) * 8  # position and id
     with dask.config.set({"array.chunk-size": f"{3 * step + 1}B"}):
         assert open_scene(path, engine=Steps, chunks="auto").chunks["time"] == (3, 3, 3, 1)

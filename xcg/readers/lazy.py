@@ -82,13 +82,26 @@ def _sensible(series: Series) -> int:
         math.prod(shape[1:]) * np.dtype(dtype).itemsize for dtype, shape in series.arrays().values()
     )
     rows = sum(ref.rows for ref in refs) / len(series.steps)
-    return steps_in_a_task(rows, held, read * _BYTE)
+    return steps_in_a_task(len(series.steps), rows, held, read * _BYTE)
 
 
-def steps_in_a_task(rows: float, held: int, seconds: float = 0.0) -> int:
-    """Count steps that make a sensible task, of so many rows and bytes in memory each, which take `seconds` to read."""
-    limit = parse_bytes(dask.config.get("array.chunk-size"))
-    return max(1, min(math.ceil(_TASK / max(seconds + rows * _ROW, 1e-9)), limit // max(held, 1)))
+def steps_in_a_task(count: int, rows: float, held: int, seconds: float = 0.0) -> int:
+    """Count steps that make a sensible task.
+
+    Tasks are equal, and fewer steps than two tasks take are one: two threads would wait for each
+    other in Python.
+
+    Parameters
+    ----------
+    count : int
+        Number of all steps.
+    rows, held, seconds
+        Rows and bytes in memory of a step, and the time to read it.
+    """
+    steps = math.ceil(_TASK / max(seconds + rows * _ROW, 1e-9))
+    limit = parse_bytes(dask.config.get("array.chunk-size")) // max(held, 1)
+    tasks = max(1, count // steps)
+    return max(1, min(math.ceil(count / tasks), limit))
 
 
 @dataclass(frozen=True, eq=False)
