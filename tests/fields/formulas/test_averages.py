@@ -381,6 +381,7 @@ def test_averages_return_the_fields_that_were_asked_for():
     )
 
 
+@pytest.mark.filterwarnings("ignore:time_average. tangential_force_anisotropy is")
 def test_every_field_has_an_averaging_rule():
     """Those of two frames are averaged in test_displacement, and those between phases where phases are."""
     ds = random_steps(2, first=80, more=0)

@@ -252,7 +252,7 @@ def _beside(
         error.attrs = {"units": units, "long_name": f"standard error of {name}"}
         if name in weights:
             error = steadiness.checked(name, error, samples.get(f"{name}/bottom"))
-        if row and row.is_norm and is_checked_for_noise(f, name, count):
+        if row and is_checked_for_noise(f, name, row, count):
             norm = mean[name].variable
             error = with_noise(name, row, norm, blocks.biases[name].variable, error, call)
         if row and count >= MIN_BIAS_BLOCKS and has_bias(row, options):

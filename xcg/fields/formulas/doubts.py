@@ -340,12 +340,15 @@ def has_floors(f: xr.Dataset) -> bool:
     return any(FLOOR in values.attrs for values in f.data_vars.values())
 
 
-def is_checked_for_noise(f: xr.Dataset, name: str, count: int) -> bool:
+def is_checked_for_noise(f: xr.Dataset, name: str, row: Field, count: int) -> bool:
     """Return whether an average of so many steps warns of the noise of a norm.
 
-    Of few steps those alone that were asked for by name and have no floor, as it takes the contacts of a step.
+    Of few steps those alone that were asked for by name, and whose floor takes the contacts of a step.
     """
-    return count >= MIN_BIAS_BLOCKS or (NAMED in f.attrs and FLOOR not in f[name].attrs)
+    if not row.is_norm:
+        return False
+    lacks_floor = row.floor is not None and FLOOR not in f[name].attrs
+    return count >= MIN_BIAS_BLOCKS or (NAMED in f.attrs and lacks_floor)
 
 
 def with_floors(mean: xr.Dataset, options: Options, purpose: str, places: float) -> xr.Dataset:

@@ -364,6 +364,7 @@ def test_strong_contacts_push_more_than_the_mean():
     )
 
 
+@pytest.mark.filterwarnings("ignore:time_average. tangential_force_anisotropy is")
 def test_averages_are_ratios_of_averaged_sums():
     ds = random_steps(3)
     f = ds.cg.coarse_grain(
