@@ -20,7 +20,6 @@ from xcg.compiled.lines import has_shells
 from xcg.compiled.polynomials import closed_for
 from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import SHELLS
-from xcg.fields.formulas.averages import second_moment
 from xcg.fields.sums.kernels import kernel_of
 from xcg.fields.sums.quadrature import gauss_limits
 
@@ -90,7 +89,7 @@ def test_second_moments_of_kernels_and_their_marginals(name, dimension, share):
     """
     kernel = kernel_of(name, 0.7, {}, dimension)
     for seen in range(1, dimension + 1):
-        assert second_moment(kernel, seen) == pytest.approx(share * 0.7**2, rel=2e-3)
+        assert kernel.second_moment(seen) == pytest.approx(share * 0.7**2, rel=2e-3)
 
 
 def test_constants_equal_those_of_the_theory_sheet():
