@@ -248,7 +248,9 @@ def options_of(scene: Scene, request: Request) -> Options:
         )
     axes = request.axes_of(setup.plane)
     at = request.at or {}
-    averaged = {a for a in setup.plane if isinstance(axes, str) and a not in axes and a not in at}
+    averaged: set[str] = set()
+    if isinstance(axes, Iterable):
+        averaged = {*setup.plane} - {*axes} - at.keys()
     derivatives = "zero"
     if "lattice_velocity" in scene.columns and averaged & {*setup.periodic}:
         derivatives = "box"

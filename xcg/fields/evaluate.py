@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -151,11 +151,8 @@ class CoarseGraining(FrameAnalysis):
         absent = [n for n in ROTATION if n in optional and n not in plan.variables]
         for name, field in plan.rows.items():
             attrs: dict[str, Any] = about(field, system)
-            lacking = [n for n in absent if n in _optional(name, plan.options)]
-            if lacking:
-                attrs["comment"] = (
-                    f"without rotation, as the scene holds no {' and no '.join(lacking)}"
-                )
+            if absent:
+                attrs |= _comment_on_rotation(name, plan.options, absent)
             if name in floors:
                 attrs["floor_of_one_step"] = floors[name]
             result.variables[name].attrs = attrs
@@ -203,11 +200,15 @@ class _Algebra:
         return int(np.count_nonzero(~np.isnan(filled[0][0, :, 0])))
 
 
-def _optional(name: str, options: Options) -> set[str]:
-    """Return the variables that a field takes where the scene has them."""
+def _comment_on_rotation(name: str, options: Options, absent: Sequence[str]) -> dict[str, str]:
+    """Return the attribute of a field that takes absent variables where the scene has them."""
     rows = registry.rows_of((name,), options)
     moments = registry.moments_of(rows.values(), options)
-    return {variable for moment in moments.values() for variable in moment.optional}
+    optional = {variable for moment in moments.values() for variable in moment.optional}
+    lacking = [variable for variable in absent if variable in optional]
+    if not lacking:
+        return {}
+    return {"comment": f"without rotation, as the scene holds no {' and no '.join(lacking)}"}
 
 
 def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
@@ -221,16 +222,19 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
         lengths.append(lattice.extent(np.array(of_box)))
         if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
             lattice.seen(plan.nodes.active, source)  # which may say more
-            axes = " and ".join(
-                repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged
-            )
-            raise SceneError(
-                f"{source}: fields are averaged along {axes}, and the box of this step is not finite there; give the "
-                "length that the integral is divided by (extent=)"
-            )
+            raise SceneError(_of_infinite_box(source, of_box))
     if isinstance(plan.depth, float):
         lengths.append(plan.depth)
     return 1.0 / math.prod(lengths)
+
+
+def _of_infinite_box(source: str, averaged: Sequence[bool]) -> str:
+    """Return the message about a step whose box has no length along averaged axes."""
+    axes = [repr(a) for a, is_averaged in zip(COMPONENTS, averaged, strict=True) if is_averaged]
+    return (
+        f"{source}: fields are averaged along {' and '.join(axes)}, and the box of this step is not finite there; give "
+        "the length that the integral is divided by (extent=)"
+    )
 
 
 def _leave_out_directions(plan: Plan, fields: Mapping[str, NDArray]) -> None:

@@ -154,12 +154,19 @@ def extents_of(nodes: Nodes, extent: Mapping[str, float], scene: Scene) -> dict[
 
 def kernels_of(scene: Scene, request: Request) -> list[Kernel]:
     """Return the kernel of all grains, or of each group where `width` maps groups to widths."""
-    kernel = request.kernel
     width = request.width
+    if isinstance(width, Mapping):
+        return _kernels_of_groups(scene, request, width)
+    return [kernel_of(request.kernel, width, scene.sizes, scene.setup.dimension)]
+
+
+def _kernels_of_groups(
+    scene: Scene, request: Request, width: Mapping[int, float | str]
+) -> list[Kernel]:
+    """Return the kernel of each group."""
     by = request.by
+    kernel = request.kernel
     dimension = scene.setup.dimension
-    if not isinstance(width, Mapping):
-        return [kernel_of(kernel, width, scene.sizes, dimension)]
     if by is None or not isinstance(kernel, str):
         raise ValueError(
             f"width={dict(width)!r} gives each group its own: name their variable with by=, and a kernel"

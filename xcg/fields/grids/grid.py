@@ -164,30 +164,38 @@ def make_grid(
     spacings: Mapping[str, Any] = dict.fromkeys(axes, spacing)
     if isinstance(spacing, Mapping):
         spacings = spacing
+    origin = np.zeros(3)
+    last = np.zeros(3)
+    half = np.zeros(3)
     nodes: dict[str, NDArray] = {}
     distances: dict[str, float] = {}
     for a in axes:
-        nodes[a], distances[a] = nodes_along(
+        x, distance = nodes_along(
             a, spacings.get(a), axes, bounds, automatic, period, cutoff, cells
         )
-    shape = {a: len(x) for a, x in nodes.items()}
-    if math.prod(map(float, shape.values())) > MAX_NODES:
+        k = COMPONENTS.index(a)
+        origin[k] = x[0]
+        last[k] = x[-1]
+        half[k] = 0.5 * distance * cells
+        nodes[a] = x
+        distances[a] = distance
+    sizes = tuple(map(len, nodes.values()))
+    if math.prod(map(float, sizes)) > MAX_NODES:
+        shape = tuple(len(nodes.get(a, "1")) for a in COMPONENTS)
         raise MeshTooLargeError(
-            f"the mesh would have {tuple(shape.get(a, 1) for a in COMPONENTS)} nodes, more than {MAX_NODES}: choose a "
-            "larger spacing or smaller bounds"
+            f"the mesh would have {shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
         )
     fixed = {a: float(v) for a, v in at.items()}
-    firsts = fixed | {a: float(x[0]) for a, x in nodes.items()}
-    origin = np.array([firsts.get(a, 0.0) for a in COMPONENTS])
-    along = np.array([distances.get(a, 0.0) for a in COMPONENTS])
-    last = origin + (np.array([shape.get(a, 1) for a in COMPONENTS]) - 1) * along
-    half = 0.5 * along * cells
+    for a, place in fixed.items():
+        origin[COMPONENTS.index(a)] = place
+        last[COMPONENTS.index(a)] = place
+    coords = coords_of(nodes, fixed)
     return Nodes(
         dims=tuple(axes),
-        sizes=tuple(shape.values()),
-        coords=coords_of(nodes, fixed),
-        seen="".join(a for a in COMPONENTS if a in nodes or a in fixed),
-        averaged="".join(a for a in plane if a not in nodes and a not in fixed),
+        sizes=sizes,
+        coords=coords,
+        seen="".join(a for a in COMPONENTS if a in coords),
+        averaged="".join(a for a in plane if a not in coords),
         origin=origin,
         lower=origin - half,
         upper=last + half,
