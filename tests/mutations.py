@@ -366,7 +366,7 @@ TABLE = [
         "test_kinetic_stress_of_an_average_is_about_the_averaged_velocity",
     ),
     Mutation(
-        "fields/formulas/averages.py", 'to_sums(f, "coarsen", dims).mean', 'to_sums(f, "coarsen").mean',
+        "fields/formulas/averages.py", "average.to_sums(f, dims).mean", "average.to_sums(f).mean",
         "test_blocks_of_nodes_keep_mass_and_hold_ratios_of_sums",
     ),
     Mutation(

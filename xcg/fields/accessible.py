@@ -20,7 +20,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_user
-from xcg.fields.formulas.averages import per_fraction
+from xcg.fields.formulas.mean_sums import Averaging
 from xcg.fields.grids.frames import Cylindrical
 from xcg.fields.grids.rings import ring_points
 from xcg.fields.grids.sections import GOLDEN, AveragedFraction, Span
@@ -112,7 +112,7 @@ def with_accessible(
         formula="chi = int Psi(r - r') dr' over the accessible side",
     )
     if request.per is not None:
-        per = per_fraction(f, field.where(field >= LEAST))
+        per = _per_fraction(f, field.where(field >= LEAST), plan)
         note = "per accessible volume where a sum: balances of mass and momentum hold for fields per volume"
         f = with_setup(per.assign_attrs(per="accessible", per_note=note))
     f = f.set_coords(beside)
@@ -121,6 +121,27 @@ def with_accessible(
     return f.assign(accessible_fraction=field).assign_attrs(
         surfaces="\n".join(map(repr, request.surfaces or ()))
     )
+
+
+def _per_fraction(f: xr.Dataset, fraction: xr.DataArray, plan: Plan) -> xr.Dataset:
+    """Divide the sums of a result by a fraction of the volume; ratios of sums stay, other fields follow from the sums.
+
+    `sample_count` does not change; other fields are NaN where the fraction is.
+    """
+    average = Averaging("per='accessible'", plan.rows, plan.options)
+    fraction = fraction.drop_attrs(deep=False)
+    divided = {}
+    for name, values in average.to_sums(f).items():
+        part_of_ratio = "/" in str(name)
+        if not (part_of_ratio or name == "sample_count"):
+            values = values / fraction
+        divided[name] = values
+    out = average.from_sums(xr.Dataset(divided), f)
+    known = fraction.notnull()
+    unchanged = {name: f[name].where(known) for name, row in plan.rows.items() if row.weight}
+    if "sample_count" in plan.rows:
+        unchanged["sample_count"] = f["sample_count"]
+    return out.assign(unchanged)
 
 
 def accessible_of(scene: Scene, plan: Plan, walls: Sequence[Wall]) -> Accessible:

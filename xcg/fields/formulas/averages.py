@@ -34,7 +34,7 @@ from xcg.fields.formulas.doubts import (
     with_noise,
     with_unknown_temperatures,
 )
-from xcg.fields.formulas.mean_sums import from_sums, require_fields, rows_in, to_sums
+from xcg.fields.formulas.mean_sums import Averaging, require_fields
 from xcg.fields.formulas.one_task import in_one_task, is_small
 from xcg.fields.formulas.rules import ENDS, errors_among, has_bias
 from xcg.fields.sums.kernels import kernel_of
@@ -84,17 +84,18 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
         raise ValueError(f"profile({axis!r}): the resolved axes of this result are {axes}")
     f = f.assign_attrs(provenance(f, format_call("profile", {"axis": axis})))
     others = [a for a in axes if a != axis]
-    sums = to_sums(f, "profile", others)
+    average = Averaging.of(f, "profile")
+    sums = average.to_sums(f, others)
     if "r" in others:  # rings have areas r dr; the axis itself has none
         sums = sums.sel(r=sums["r"] > 0.0)
         area = float(sums["r"].sum()) * math.prod(sums.sizes[d] for d in others if d != "r")
-        mean = _average_of((sums * sums["r"]).sum(others, skipna=False) / area, f, "profile")
+        mean = _average_of((sums * sums["r"]).sum(others, skipna=False) / area, f, average)
         return mean.set_coords(beside)
-    mean = _average_of(sums.mean(others, skipna=False), f, "profile")
+    mean = _average_of(sums.mean(others, skipna=False), f, average)
     if not (noise or has_floors(f)) or not set(others) <= set(COMPONENTS):
         return mean.set_coords(beside)
     count = _independent(f, others)
-    mean = with_floors(mean, registry.options_of(f.attrs), "profile", count)
+    mean = with_floors(mean, average.options, "profile", count)
     if count > 1:
         scatter = {name: f[name].std(others) / np.sqrt(count - 1.0) for name in noise}
         mean = mean.assign({f"{name}_error": error for name, error in scatter.items()})
@@ -198,22 +199,23 @@ def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr
         samples = samples.assign_coords(time=("time", middle, f["time"].attrs))
     noisy = {name: samples[_noise_of(name)] for name in noise}
     samples = samples.drop_vars([_noise_of(name) for name in noise])
-    samples = to_sums(samples, "time_average", [_SAMPLE])
-    mean = _average_of(samples.mean(_SAMPLE, skipna=False), f, "time_average")
-    norms = [name for name, row in rows_in(f).items() if row and row.is_norm]
+    average = Averaging.of(f, "time_average")
+    samples = average.to_sums(samples, [_SAMPLE])
+    mean = _average_of(samples.mean(_SAMPLE, skipna=False), f, average)
+    norms = [name for name, row in average.rows.items() if row and row.is_norm]
     blocks = jackknife(
         samples,
         _SAMPLE,
-        lambda means: from_sums(means, f),
+        lambda means: average.from_sums(means, f),
         norms=norms,
         independent=of_runs,
     )
     in_a_mean = samples.sizes[_SAMPLE]
-    mean = mean.assign(_beside(mean, f, blocks, samples, sums_beside))
+    mean = mean.assign(_beside(mean, f, average, blocks, samples, sums_beside))
     averaged = "averaged_runs" if of_runs else "averaged_steps"
     mean = mean.assign_attrs({averaged: in_a_mean})
     if 1 < in_a_mean < MIN_BIAS_BLOCKS:  # it has no bias
-        warn_of_floors(mean, registry.options_of(f.attrs), "time_average")
+        warn_of_floors(mean, average.options, "time_average")
     of_steps = {
         name: _noise(error, samples, name, [_SAMPLE], in_a_mean) for name, error in noisy.items()
     }
@@ -227,14 +229,15 @@ def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr
 def _beside(
     mean: xr.Dataset,
     f: xr.Dataset,
+    average: Averaging,
     blocks: Jackknife,
     samples: xr.Dataset,
     unchecked: Sequence[str],
 ) -> dict[str, xr.Variable]:
     """Return the errors and biases of the fields of an average; errors that are checked warn."""
     count = samples.sizes[_SAMPLE]
-    options = registry.options_of(f.attrs)
-    rows = rows_in(f)
+    options = average.options
+    rows = average.rows
     weights = {}
     for name in map(str, mean.data_vars):
         row = rows.get(name)
@@ -283,7 +286,7 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
     differing = [axis for axis in axes if axis in f.coords and dim in f[axis].dims]
     if differing:
         raise ValueError(_of_different_meshes(dim, differing))
-    rows = {name: row for name, row in rows_in(f).items() if row}
+    rows = {name: row for name, row in Averaging.of(f, "time_average").rows.items() if row}
     sums = [name for name, row in rows.items() if row.additive and dim in f[name].dims]
     if sums:
         lacking = f[sums[0]].isnull().any(dim)
@@ -384,34 +387,12 @@ def coarsen(f: xr.Dataset, **blocks: int) -> xr.Dataset:
     one_block = f.isel({axis: slice(size) for axis, size in blocks.items()})
     f = f.drop_vars([*blocks]).coarsen(blocks).construct(inside)
     dims = [inner for _, inner in inside.values()]
-    mean = _average_of(to_sums(f, "coarsen", dims).mean(dims, skipna=False), f, "coarsen")
+    average = Averaging.of(f, "coarsen")
+    mean = _average_of(average.to_sums(f, dims).mean(dims, skipna=False), f, average)
     if has_floors(f) and set(blocks) <= set(COMPONENTS):
         count = _independent(one_block, [*blocks])
-        mean = with_floors(mean, registry.options_of(f.attrs), "coarsen", count)
+        mean = with_floors(mean, average.options, "coarsen", count)
     return mean.assign_coords(places).set_coords(beside)
-
-
-def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
-    """Divide the sums of a result by a fraction of the volume; ratios of sums stay, other fields follow from the sums.
-
-    `sample_count` does not change; other fields are NaN where the fraction is.
-    """
-    rows = rows_in(f)
-    fraction = fraction.drop_attrs(deep=False)
-    sums = to_sums(f, "per='accessible'")
-    ratios = {name for name, row in rows.items() if row is not None and row.weight}
-    divided = {}
-    for name, values in sums.items():
-        part_of_ratio = "/" in str(name)
-        if not (part_of_ratio or name == "sample_count"):
-            values = values / fraction
-        divided[name] = values
-    out = from_sums(xr.Dataset(divided), f)
-    known = fraction.notnull()
-    unchanged = {name: f[name].where(known) for name in ratios}
-    if "sample_count" in rows:
-        unchanged["sample_count"] = f["sample_count"]
-    return out.assign(unchanged)
 
 
 # --- errors of one step ----------------------------------------------------------------------------------
@@ -494,6 +475,7 @@ def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: st
     return mean.assign(beside)
 
 
-def _average_of(sums: xr.Dataset, f: xr.Dataset, purpose: str) -> xr.Dataset:
+def _average_of(sums: xr.Dataset, f: xr.Dataset, average: Averaging) -> xr.Dataset:
     """Return the fields of `f` from averaged quantities, with the warnings that they are due."""
-    return with_unknown_temperatures(from_sums(sums, f), registry.options_of(f.attrs), purpose)
+    mean = average.from_sums(sums, f)
+    return with_unknown_temperatures(mean, average.options, average.purpose)

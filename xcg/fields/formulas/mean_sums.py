@@ -7,7 +7,7 @@ The kinetic stress of an average is about the averaged velocity U, by the law of
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -31,18 +31,6 @@ from xcg.scene.schema import COMPONENTS
 from xcg.steps.faults import SKIPPED
 
 
-def rows_in(f: xr.Dataset) -> dict[str, Field | None]:
-    """Rows of the fields of a result; None for other variables."""
-    options = registry.options_of(f.attrs)
-    rows: dict[str, Field | None] = {}
-    for name in map(str, f.data_vars):
-        if name in registry.FIELDS:
-            rows[name] = registry.row(name, options)
-        else:
-            rows[name] = row_of_result(f[name])
-    return rows
-
-
 def require_fields(f: xr.Dataset, purpose: str) -> None:
     """Raise ValueError for a scene in place of a result."""
     if "particle" in f.dims:
@@ -51,58 +39,177 @@ def require_fields(f: xr.Dataset, purpose: str) -> None:
         )
 
 
-def to_sums(f: xr.Dataset, purpose: str, dims: Sequence[str] = ()) -> xr.Dataset:
-    """Return what may be averaged over some dims: additive fields, numerator and denominator of each ratio.
+@dataclass(frozen=True, eq=False)
+class Averaging:
+    """Average of a result by the rules of its fields: to sums that may be averaged, and back.
 
-    Beside the fields that take the covariance of the velocity, the sums that it follows from.
+    Attributes
+    ----------
+    purpose : str
+        Name of the average, for messages.
+    rows : mapping
+        Rows of the fields; None for other variables.
+    options : Options
+        Choices of the algebra that the fields were computed with.
     """
-    require_fields(f, purpose)
-    rows = rows_in(f)
-    errors = errors_among(rows)
-    if errors:
-        raise ValueError(
-            f"{purpose} takes no mean of errors and biases ({', '.join(errors)}): call it before time_average, on a "
-            "result without errors=True"
-        )
-    anew = [name for name, row in rows.items() if row and not row.additive and not row.weight]
-    if anew:
-        required = ("plane", "gradient", "pressure_dims", "deviatoric", "size", "temperature")
-        way_out = f"or leave out what {purpose} computes anew from averages, {', '.join(anew)}"
-        require_facts(f, required, "this result", way_out)
-    missing = lacking_sums(rows, registry.options_of(f.attrs))
-    if missing:
-        lacks = [f"{name} needs {', '.join(fields)}" for name, fields in missing.items()]
-        sums = ", ".join(all_of(missing))
-        way_out = ""
-        if sums:
-            way_out = f". Leave out for_averages=False in coarse_grain, or ask it for {sums} too"
-        raise ValueError(
-            f"{purpose} averages ratios through their sums, and some are not in this result: "
-            f"{'; '.join(lacks)}{way_out}"
-        )
-    f = _without_gaps(_with_components(f, rows, purpose), rows)
-    out: dict[str, xr.DataArray] = {}
-    for name, row in rows.items():
-        assert row is not None
-        if row.additive:
-            out[name] = f[name].astype(float)
-            if SKIPPED in f.coords:  # whole numbers of such steps are -1
-                out[name] = out[name].where(~f[SKIPPED])
-        elif row.weight:
-            weight = f[row.weight]
-            if row.by_bulk:
-                weight = _of_bulk(weight, name, purpose)
-            weight = weight.where(f[name].notnull(), 0.0)
-            value = f[name].fillna(0.0)
-            if row.harmonic:
-                out[f"{name}/top"] = weight
-                out[f"{name}/bottom"] = weight / value.where(weight != 0, 1.0)
+
+    purpose: str
+    rows: Mapping[str, Field | None]
+    options: Options
+
+    @classmethod
+    def of(cls, f: xr.Dataset, purpose: str) -> Averaging:
+        """Return the average of a result, whose attributes hold its options."""
+        require_fields(f, purpose)
+        options = registry.options_of(f.attrs)
+        rows: dict[str, Field | None] = {}
+        for name in map(str, f.data_vars):
+            if name in registry.FIELDS:
+                rows[name] = registry.row(name, options)
             else:
-                out[f"{name}/top"] = weight * value
-                out[f"{name}/bottom"] = weight
-    if dims:
-        out |= _about_mean_velocity(f, rows, purpose, dims)
-    return xr.Dataset(out)
+                rows[name] = row_of_result(f[name])
+        return cls(purpose, rows, options)
+
+    def to_sums(self, f: xr.Dataset, dims: Sequence[str] = ()) -> xr.Dataset:
+        """Return what may be averaged over some dims: additive fields, numerator and denominator of each ratio.
+
+        Beside the fields that take the covariance of the velocity, the sums that it follows from.
+        """
+        rows = self.rows
+        purpose = self.purpose
+        errors = errors_among(rows)
+        if errors:
+            raise ValueError(
+                f"{purpose} takes no mean of errors and biases ({', '.join(errors)}): call it before time_average, on "
+                "a result without errors=True"
+            )
+        anew = [name for name, row in rows.items() if row and not row.additive and not row.weight]
+        if anew:
+            required = ("plane", "gradient", "pressure_dims", "deviatoric", "size", "temperature")
+            way_out = f"or leave out what {purpose} computes anew from averages, {', '.join(anew)}"
+            require_facts(f, required, "this result", way_out)
+        missing = lacking_sums(rows, self.options)
+        if missing:
+            lacks = [f"{name} needs {', '.join(fields)}" for name, fields in missing.items()]
+            sums = ", ".join(all_of(missing))
+            way_out = ""
+            if sums:
+                way_out = (
+                    f". Leave out for_averages=False in coarse_grain, or ask it for {sums} too"
+                )
+            raise ValueError(
+                f"{purpose} averages ratios through their sums, and some are not in this result: "
+                f"{'; '.join(lacks)}{way_out}"
+            )
+        f = _without_gaps(self._with_components(f), rows)
+        out: dict[str, xr.DataArray] = {}
+        for name, row in rows.items():
+            assert row is not None
+            if row.additive:
+                out[name] = f[name].astype(float)
+                if SKIPPED in f.coords:  # whole numbers of such steps are -1
+                    out[name] = out[name].where(~f[SKIPPED])
+            elif row.weight:
+                weight = f[row.weight]
+                if row.by_bulk:
+                    weight = _of_bulk(weight, name, purpose)
+                weight = weight.where(f[name].notnull(), 0.0)
+                value = f[name].fillna(0.0)
+                if row.harmonic:
+                    out[f"{name}/top"] = weight
+                    out[f"{name}/bottom"] = weight / value.where(weight != 0, 1.0)
+                else:
+                    out[f"{name}/top"] = weight * value
+                    out[f"{name}/bottom"] = weight
+        if dims:
+            out |= self._about_mean_velocity(f, dims)
+        return xr.Dataset(out)
+
+    def from_sums(self, sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
+        """Fields of `f` from averaged quantities."""
+        options = self.options
+        fields: dict[str, xr.DataArray] = {}
+        for name in map(str, sums.data_vars):
+            ratio, _, part = name.partition("/")
+            if not part:
+                fields[name] = sums[name]
+            elif part == "top":
+                denominator = sums[f"{ratio}/bottom"]
+                fields[ratio] = sums[name] / denominator.where(denominator != 0)
+        if "velocity/second" in sums:
+            added = _about_averaged_velocity(sums)
+            for name, row in self.rows.items():
+                if row and takes_covariance(row, options):
+                    fields[name] = fields[name] + _of_covariance(name, added, options)
+        out = {}
+        for name in map(str, f.data_vars):
+            out[name] = derive(name, fields, options).assign_attrs(f[name].attrs)
+        return xr.Dataset(out, attrs=f.attrs)
+
+    def _with_components(self, f: xr.Dataset) -> xr.Dataset:
+        """Sort components into the order of the formulas; raise if a field would be recomputed from some of them."""
+        for dim in ("component", "direction"):
+            if dim not in f.coords:
+                continue
+            ordered = in_order(f, dim, COMPONENTS)
+            if ordered is None:
+                ordered = in_order(f, dim, ("r", "theta", "z"))
+            if ordered is not None:
+                f = ordered
+                continue
+            derived = [
+                name for name, row in self.rows.items() if row and not (row.additive or row.weight)
+            ]
+            anew = [name for name in derived if self._takes_tensors(name)]
+            if anew:
+                held = ", ".join(map(str, labels_along(f, dim)))
+                raise ValueError(
+                    f"{self.purpose} computes {', '.join(anew)} anew from averaged vectors and tensors, "
+                    f"of which this result has the {dim} {held} alone: select after it, or leave "
+                    "these fields out with drop_vars"
+                )
+        return f
+
+    def _takes_tensors(self, name: str) -> bool:
+        """Return whether a field is computed anew from vectors or tensors."""
+        row = registry.row(name, self.options)
+        if row.additive or row.weight:
+            return row.rank > 0
+        return any(map(self._takes_tensors, row.fields))
+
+    def _about_mean_velocity(self, f: xr.Dataset, dims: Sequence[str]) -> dict[str, xr.DataArray]:
+        """Return the sums of m (v - u)(v - u) less the kinetic stress, of m (v - u) and m (V - u), by phase, if needed.
+
+        u is the mean over `dims` of the bulk's velocity: relative to it nothing large is subtracted.
+        """
+        names = [n for n, row in self.rows.items() if row and takes_covariance(row, self.options)]
+        if not names:
+            return {}
+        lacking = _lacking_for_covariance(f)
+        if lacking:
+            warn_once(
+                "covariance",
+                f"{self.purpose}: the average of {', '.join(names)} leaves out how the velocity varies from step to "
+                f"step and from node to node, as this result lacks {lacking}",
+            )
+            return {}
+        weight = f["density"].where(f["velocity"].notnull(), 0.0)
+        velocity = f["velocity"].fillna(0.0)
+        if "theta" in f.dims:  # else its mean along a ring around the axis is zero
+            velocity = f["velocity"].where(f["density"] > 0, 0.0)
+        of_bulk = _of_bulk(velocity, "velocity", "averages")
+        weight_of_bulk = _of_bulk(weight, "velocity", "averages")
+        total = weight_of_bulk.sum(dims)
+        mean = (weight_of_bulk * of_bulk).sum(dims) / total.where(total != 0)
+        shift = (of_bulk - mean).where(weight_of_bulk != 0, 0.0)
+        drift = weight * (velocity - of_bulk)
+        return {
+            "velocity/shift": weight * shift,
+            "velocity/first": drift + weight * shift,
+            "velocity/second": _outer(drift, shift)
+            + _outer(shift, drift)
+            + _outer(weight * shift, shift),
+        }
 
 
 # --- kinetic stress about the averaged velocity ----------------------------------------------------------
@@ -119,44 +226,6 @@ def _lacking_for_covariance(f: xr.Dataset) -> str:
     if f.sizes.get("component") != 3 or f.sizes.get("direction", 3) != 3:
         return "components of the velocity: choose components after the average"
     return ""
-
-
-def _about_mean_velocity(
-    f: xr.Dataset, rows: Mapping[str, Field | None], purpose: str, dims: Sequence[str]
-) -> dict[str, xr.DataArray]:
-    """Return the sums of m (v - u)(v - u) less the kinetic stress, of m (v - u) and m (V - u), by phase, if needed.
-
-    u is the mean over `dims` of the bulk's velocity: relative to it nothing large is subtracted.
-    """
-    options = registry.options_of(f.attrs)
-    names = [name for name, row in rows.items() if row and takes_covariance(row, options)]
-    if not names:
-        return {}
-    lacking = _lacking_for_covariance(f)
-    if lacking:
-        warn_once(
-            "covariance",
-            f"{purpose}: the average of {', '.join(names)} leaves out how the velocity varies from step to step "
-            f"and from node to node, as this result lacks {lacking}",
-        )
-        return {}
-    weight = f["density"].where(f["velocity"].notnull(), 0.0)
-    velocity = f["velocity"].fillna(0.0)
-    if "theta" in f.dims:  # else its mean along a ring around the axis is zero
-        velocity = f["velocity"].where(f["density"] > 0, 0.0)
-    of_bulk = _of_bulk(velocity, "velocity", "averages")
-    weight_of_bulk = _of_bulk(weight, "velocity", "averages")
-    total = weight_of_bulk.sum(dims)
-    mean = (weight_of_bulk * of_bulk).sum(dims) / total.where(total != 0)
-    shift = (of_bulk - mean).where(weight_of_bulk != 0, 0.0)
-    drift = weight * (velocity - of_bulk)
-    return {
-        "velocity/shift": weight * shift,
-        "velocity/first": drift + weight * shift,
-        "velocity/second": _outer(drift, shift)
-        + _outer(shift, drift)
-        + _outer(weight * shift, shift),
-    }
 
 
 def _outer(a: xr.DataArray, b: xr.DataArray) -> xr.DataArray:
@@ -198,38 +267,6 @@ def _of_covariance(name: str, added: Mapping[str, xr.DataArray], options: Option
     return _compute(row, parts, options)
 
 
-def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: str) -> xr.Dataset:
-    """Sort components into the order of the formulas; raise if a field would be recomputed from some of them."""
-    options = registry.options_of(f.attrs)
-
-    def of_tensors(name: str) -> bool:
-        """Return whether a field is computed anew from vectors or tensors."""
-        row = registry.row(name, options)
-        if row.additive or row.weight:
-            return row.rank > 0
-        return any(map(of_tensors, row.fields))
-
-    for dim in ("component", "direction"):
-        if dim not in f.coords:
-            continue
-        ordered = in_order(f, dim, COMPONENTS)
-        if ordered is None:
-            ordered = in_order(f, dim, ("r", "theta", "z"))
-        if ordered is not None:
-            f = ordered
-            continue
-        derived = [name for name, row in rows.items() if row and not (row.additive or row.weight)]
-        anew = [name for name in derived if of_tensors(name)]
-        if anew:
-            held = ", ".join(map(str, labels_along(f, dim)))
-            raise ValueError(
-                f"{purpose} computes {', '.join(anew)} anew from averaged vectors and tensors, "
-                f"of which this result has the {dim} {held} alone: select after it, or leave "
-                "these fields out with drop_vars"
-            )
-    return f
-
-
 def _without_gaps(f: xr.Dataset, rows: Mapping[str, Field | None]) -> xr.Dataset:
     """Return the sums of the temperatures of phases, 0 where the grains are too few for a fit, which leaves nothing."""
     if not any(row and row.across_phases for row in rows.values()):
@@ -253,28 +290,6 @@ def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
     if "phase" not in weight.dims:
         return weight
     return weight.sel(phase="bulk", drop=True)
-
-
-def from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
-    """Fields of `f` from averaged quantities."""
-    options = registry.options_of(f.attrs)
-    fields: dict[str, xr.DataArray] = {}
-    for name in map(str, sums.data_vars):
-        ratio, _, part = name.partition("/")
-        if not part:
-            fields[name] = sums[name]
-        elif part == "top":
-            denominator = sums[f"{ratio}/bottom"]
-            fields[ratio] = sums[name] / denominator.where(denominator != 0)
-    if "velocity/second" in sums:
-        added = _about_averaged_velocity(sums)
-        for name, row in rows_in(f).items():
-            if row and takes_covariance(row, options):
-                fields[name] = fields[name] + _of_covariance(name, added, options)
-    out = {}
-    for name in map(str, f.data_vars):
-        out[name] = derive(name, fields, options).assign_attrs(f[name].attrs)
-    return xr.Dataset(out, attrs=f.attrs)
 
 
 def derive(name: str, fields: dict[str, xr.DataArray], options: Options) -> xr.DataArray:
