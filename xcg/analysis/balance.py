@@ -176,7 +176,7 @@ class BalanceRequest(SharedOptions):
 
 
 @takes(BalanceRequest)
-def balance(scene: Scene, asked: BalanceRequest) -> xr.Dataset:
+def balance(scene: Scene, request: BalanceRequest) -> xr.Dataset:
     """Residuals of the balances of force, mass and momentum, and of spin and energy, as fields and as norms.
 
     With div by central differences of fourth order between the nodes,
@@ -231,17 +231,17 @@ def balance(scene: Scene, asked: BalanceRequest) -> xr.Dataset:
     Source: Goldhirsch (2010), eqs. 4 to 14; walls: Weinhart et al. (2012); spin and energy: Babic
     (1997).
     """
-    _check_options(asked)
-    call = asked.call("balance")
-    scene, asked = prepare(scene, asked)
+    _check_options(request)
+    call = request.call("balance")
+    scene, request = prepare(scene, request)
     ds = scene.ds
     refuse_cylindrical(ds, "balance")
-    laws = _chosen(ds, asked)
+    laws = _chosen(ds, request)
     fields = dict.fromkeys(name for law in laws.values() for name in law.fields)
-    if asked.by:
+    if request.by:
         fields |= dict.fromkeys(OF_PHASES)
-    request = asked.ask(fields=[*fields], width=asked.width, for_averages=False)
-    plan = planned(scene, request)
+    of_fields = request.as_request(fields=[*fields], width=request.width, for_averages=False)
+    plan = planned(scene, of_fields)
     nodes = plan.nodes
     if not nodes.axes:
         raise ValueError(
@@ -254,7 +254,7 @@ def balance(scene: Scene, asked: BalanceRequest) -> xr.Dataset:
         )
     if any(law.rate for law in laws.values()):
         require_times(ds, "balance")
-    f = answer(scene, request, plan)
+    f = answer(scene, of_fields, plan)
     wraps = {a for a, wrapped in zip(COMPONENTS, plan.options.wrapped, strict=True) if wrapped}
 
     def divergence(field: xr.DataArray) -> xr.DataArray:
@@ -298,52 +298,52 @@ def balance(scene: Scene, asked: BalanceRequest) -> xr.Dataset:
     )
 
 
-def _check_options(asked: BalanceRequest) -> None:
+def _check_options(request: BalanceRequest) -> None:
     """Raise ValueError for options of `coarse_grain` that no balance has."""
-    if asked.at:
+    if request.at:
         raise ValueError(
-            f"at= names {list(asked.at)}: no derivative is taken along a fixed axis, or between points; resolve it, or "
-            "leave it out to average"
+            f"at= names {list(request.at)}: no derivative is taken along a fixed axis, or between points; resolve it, "
+            "or leave it out to average"
         )
-    if isinstance(asked.width, Mapping):
+    if isinstance(request.width, Mapping):
         raise ValueError(
             "contacts between grains of different widths exchange momentum at a distance: give one width for all"
         )
-    if asked.preset is not None:
+    if request.preset is not None:
         raise ValueError(
-            f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
+            f"preset={request.preset!r}: the balances are those of fields of xcg; leave it out"
         )
 
 
-def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
+def _chosen(ds: xr.Dataset, request: BalanceRequest) -> dict[str, _Law]:
     """Balances that are asked for, or the usual ones that the scene allows."""
     if (
-        isinstance(asked.quantities, str)
-        or not set(asked.quantities or ()) <= set(LAWS)
-        or asked.quantities == []
+        isinstance(request.quantities, str)
+        or not set(request.quantities or ()) <= set(LAWS)
+        or request.quantities == []
     ):
         raise ValueError(
-            f"quantities={asked.quantities!r}: expected a list of any of {', '.join(LAWS)}"
+            f"quantities={request.quantities!r}: expected a list of any of {', '.join(LAWS)}"
         )
     lacking = {name for name, law in LAWS.items() if law.rate and ds.sizes["time"] < 2}
     lacking |= {
         name for name, law in LAWS.items() if law.needs_gravity and "gravity" not in ds.attrs
     }
-    for name in asked.quantities or ():
+    for name in request.quantities or ():
         if name in lacking:
             way_out = "; open two steps or more"
             if LAWS[name].needs_gravity:
                 way_out = ", and takes the scene's gravity; open two steps or more, with gravity="
             raise ValueError(
-                f"quantities={list(asked.quantities or ())}: the balance of {name} holds between steps{way_out}"
+                f"quantities={list(request.quantities or ())}: the balance of {name} holds between steps{way_out}"
             )
-        if asked.by is not None and name in OF_THE_MIXTURE:
+        if request.by is not None and name in OF_THE_MIXTURE:
             raise ValueError(
-                f"quantities={list(asked.quantities or ())}: the balance of {name} holds for all grains "
+                f"quantities={list(request.quantities or ())}: the balance of {name} holds for all grains "
                 "together; leave out by="
             )
-    if asked.quantities:
-        return {name: LAWS[name] for name in asked.quantities}
+    if request.quantities:
+        return {name: LAWS[name] for name in request.quantities}
     if not times_are_known(ds):
         lacking |= {name for name, law in LAWS.items() if law.rate}
     return {name: LAWS[name] for name in USUAL if name not in lacking}

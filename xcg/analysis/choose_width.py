@@ -72,7 +72,7 @@ class ChoiceRequest(SharedOptions):
 
 
 @takes(ChoiceRequest)
-def choose_width(scene: Scene, asked: ChoiceRequest) -> xr.Dataset:
+def choose_width(scene: Scene, request: ChoiceRequest) -> xr.Dataset:
     """Choose the width of the kernel with the least error, from bias and noise at several widths.
 
     Computes: reads `sample` frames once. `plot_width` draws the result.
@@ -125,16 +125,18 @@ def choose_width(scene: Scene, asked: ChoiceRequest) -> xr.Dataset:
     >>> sorted(found.sizes)
     ['width']
     """
-    scene, asked = prepare(scene, asked)
+    scene, request = prepare(scene, request)
     refuse_cylindrical(scene.ds, "choose_width")
     count = scene.ds.sizes.get("time", 1)
-    widths = sorted({resolve_width(width, scene.sizes) for width in asked.widths})
+    widths = sorted({resolve_width(width, scene.sizes) for width in request.widths})
     if len(widths) < 3:
-        raise ValueError(f"widths={list(asked.widths)!r}: expected three or more different widths")
-    rows = np.unique(np.linspace(0, count - 1, min(count, int(asked.sample))).round().astype(int))
+        raise ValueError(
+            f"widths={list(request.widths)!r}: expected three or more different widths"
+        )
+    rows = np.unique(np.linspace(0, count - 1, min(count, int(request.sample))).round().astype(int))
     sampled = Scene(scene.ds.isel(time=rows, missing_dims="ignore"))
-    mean, names, seen = _averages(sampled, asked, widths)
-    frames = asked.frames or count
+    mean, names, seen = _averages(sampled, request, widths)
+    frames = request.frames or count
     errors: dict[str, NDArray] = {}
     for name in names:
         bias, noise = _bias_and_noise(mean, name, seen)
@@ -148,31 +150,33 @@ def choose_width(scene: Scene, asked: ChoiceRequest) -> xr.Dataset:
     out = xr.Dataset(
         {name: ("width", values, about[name]) for name, values in errors.items()},
         {"width": mean["width"]},
-        {"frames": frames, "sampled_frames": len(rows), "target": asked.target},
+        {"frames": frames, "sampled_frames": len(rows), "target": request.target},
     )
-    kernel = kernel_of(asked.kernel, widths[0], {}, scene.setup.dimension)
+    kernel = kernel_of(request.kernel, widths[0], {}, scene.setup.dimension)
     return out.assign(_choice(out, names, kernel))
 
 
 def _averages(
-    scene: Scene, asked: ChoiceRequest, widths: Sequence[float]
+    scene: Scene, request: ChoiceRequest, widths: Sequence[float]
 ) -> tuple[xr.Dataset, list[str], int]:
     """Averages over the frames at all widths with their errors, the names of the fields, and the axes of the kernel."""
-    wanted: Any = asked.fields
+    wanted: Any = request.fields
     if isinstance(wanted, str | Quantity):
         wanted = [wanted]
-    at = asked.at or {}
-    axes = asked.axes or ""
-    if asked.axes is None and asked.at is None:
+    at = request.at or {}
+    axes = request.axes or ""
+    if request.axes is None and request.at is None:
         axes = scene.setup.plane
     if axes:
         # nodes in a volume lie apart, or the widest kernel would reach too many
         spacing = widths[0] * (widths[-1] / widths[0]) ** ((len(axes) - 1) / 4)
-        asked = replace(asked, axes=axes, spacing=asked.spacing or spacing)
-        asked = with_nodes(scene, asked, widths[:1], at)
+        request = replace(request, axes=axes, spacing=request.spacing or spacing)
+        request = with_nodes(scene, request, widths[:1], at)
     moving = "velocity" in scene.columns  # a velocity has an error beside fields without one
     fields = list(dict.fromkeys([*wanted, _COUNT, *["velocity"] * moving]))
-    ask = partial(asked.ask, fields=fields, at=asked.at, errors=moving, for_averages=True)
+    ask = partial(
+        request.as_request, fields=fields, at=request.at, errors=moving, for_averages=True
+    )
     f = join_widths(scene, widths, ask).compute()
     wanted_names = [getattr(field, "name", field) for field in wanted]
     names = [name for name in map(str, f.data_vars) if name in wanted_names]

@@ -100,7 +100,7 @@ class DisplacementRequest(SharedOptions):
 
 
 @takes(DisplacementRequest)
-def displacement(scene: Scene, asked: DisplacementRequest) -> xr.Dataset:
+def displacement(scene: Scene, request: DisplacementRequest) -> xr.Dataset:
     """Coarse-grain the displacement between frames: strain, rotation, and non-affine motion.
 
     Each grain moves by ``u_i = r_i(t + lag) - r_i(t)``, found by its id. Across periodic edges
@@ -161,16 +161,16 @@ def displacement(scene: Scene, asked: DisplacementRequest) -> xr.Dataset:
     >>> round(float(f.strain.sel(component="x", direction="x").item()), 6)
     0.01005
     """
-    names = _names(scene.ds, asked)
+    names = _names(scene.ds, request)
     scene.require(("mass",), "displacement")
     scene.require_ids("displacement")
-    call = asked.call("displacement")
+    call = request.call("displacement")
     measured = Scene(with_measures(scene.ds))
-    scene, asked = prepare(measured, replace(asked, lag=int(asked.lag)))
-    if asked.accumulate:
+    scene, request = prepare(measured, replace(request, lag=int(request.lag)))
+    if request.accumulate:
         refuse_cylindrical(scene.ds, "displacement(accumulate=True)")
-        scene = Scene(scene.ds.isel(time=slice(None, None, asked.lag)))
-        asked = replace(asked, lag=1)
+        scene = Scene(scene.ds.isel(time=slice(None, None, request.lag)))
+        request = replace(request, lag=1)
     ds = scene.ds
     box_changes = bool(scene.setup.periodic) and not scene.box_lasts
     if box_changes and "frame" in ds.attrs:
@@ -180,12 +180,12 @@ def displacement(scene: Scene, asked: DisplacementRequest) -> xr.Dataset:
         )
     options = Options(
         plane=tuple(scene.setup.axes),
-        gradient=asked.gradient,
-        temperature=asked.temperature,
-        lag=asked.lag,
+        gradient=request.gradient,
+        temperature=request.temperature,
+        lag=request.lag,
     )
     beside: tuple[str, ...] = ()
-    if asked.for_averages is not False:
+    if request.for_averages is not False:
         beside = needed_for_averages(names, options)
         names = (*names, *beside)
     # fields that follow from the gradient relative to the box, once the box is added to it
@@ -199,11 +199,11 @@ def displacement(scene: Scene, asked: DisplacementRequest) -> xr.Dataset:
         summed.append(_GRADIENT)
     if box_changes and "displacement" in names:
         summed.append("centre_offset")
-    f = _between_frames(ds, asked, list(dict.fromkeys(summed)), call, box_changes)
+    f = _between_frames(ds, request, list(dict.fromkeys(summed)), call, box_changes)
     fields = {name: f[name] for name in summed}
     if box_changes:
         fields |= _with_box(f, ds)
-    if asked.accumulate:
+    if request.accumulate:
         fields[_TOTAL] = _composed(derive(_TOTAL, dict(fields), options))
         f = f.assign_coords(_coords_of_later_frames(ds, f["interval"].attrs))
     system = f.attrs.get("unit_system", "SI")
@@ -212,7 +212,7 @@ def displacement(scene: Scene, asked: DisplacementRequest) -> xr.Dataset:
         values = derive(name, fields, options)
         data[name] = (values.dims, values.data, about(registry.row(name, options), system))
     result = xr.Dataset(data, f.coords, f.attrs).unify_chunks()
-    if asked.for_averages:
+    if request.for_averages:
         return result
     return result.set_coords(beside)
 
@@ -229,10 +229,10 @@ def _coords_of_later_frames(ds: xr.Dataset, of_interval: Mapping[str, Any]) -> d
     return coords
 
 
-def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
+def _names(ds: xr.Dataset, request: DisplacementRequest) -> tuple[str, ...]:
     """Check the request, and return the names of its fields."""
     frames = ds.sizes.get("time", 1)
-    lag = asked.lag
+    lag = request.lag
     check("lag", lag, whole(1), hint="; 1 is the next frame")
     if lag >= frames:
         raise ValueError(
@@ -240,10 +240,10 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
             "or more of them"
         )
     for name in ("preset", "by_pair"):
-        if value := getattr(asked, name):
+        if value := getattr(request, name):
             raise ValueError(f"{name}={value!r}: not available for displacements; leave it out")
     require_rising_times(ds, "displacement")
-    return _fields(ds, asked.fields, accumulate=asked.accumulate)
+    return _fields(ds, request.fields, accumulate=request.accumulate)
 
 
 def _fields(
@@ -361,7 +361,7 @@ class _Displacements(FrameAnalysis):
 
 def _between_frames(
     ds: xr.Dataset,
-    asked: DisplacementRequest,
+    request: DisplacementRequest,
     names: Sequence[str],
     call: str,
     box_changes: bool,
@@ -371,12 +371,14 @@ def _between_frames(
     contacts = [name for name in ds.data_vars if "contact" in ds[name].dims]
     first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore")
     made = dict.fromkeys(_MADE, first.variables["position"])
-    scene = Scene(first, made=made, lag=asked.lag)
-    request = asked.ask(fields=names, width=asked.width, at=asked.at, for_averages=False)
-    plan = make_plan(scene, request)
+    scene = Scene(first, made=made, lag=request.lag)
+    of_fields = request.as_request(
+        fields=names, width=request.width, at=request.at, for_averages=False
+    )
+    plan = make_plan(scene, of_fields)
     advise(scene, plan)
-    analysis = _Displacements(CoarseGraining(plan), asked.lag, box_changes)
-    return run(scene, analysis, call=call, on_error=asked.on_error)
+    analysis = _Displacements(CoarseGraining(plan), request.lag, box_changes)
+    return run(scene, analysis, call=call, on_error=request.on_error)
 
 
 # --- from displacements relative to the box -------------------------------------------------------

@@ -366,16 +366,16 @@ def _rate_source(ds: xr.Dataset, rate: str | float | xr.DataArray | None) -> str
 
 
 def _choose(
-    scene: Scene, asked: str | Sequence[str] | None, rate: str | xr.DataArray, by: str | None
+    scene: Scene, quantities: str | Sequence[str] | None, rate: str | xr.DataArray, by: str | None
 ) -> tuple[str, ...]:
     """Names that were asked for, or all that the scene allows."""
-    if isinstance(asked, str):
-        asked = [asked]
-    if asked is not None:
-        names = list(asked)
+    if isinstance(quantities, str):
+        quantities = [quantities]
+    if quantities is not None:
+        names = list(quantities)
         if not names:
             raise ValueError(
-                f"quantities={asked!r}: expected at least one; leave it out for all that the scene allows"
+                f"quantities={quantities!r}: expected at least one; leave it out for all that the scene allows"
             )
         for name in names:
             if name not in NAMES:

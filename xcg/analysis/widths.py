@@ -61,7 +61,7 @@ class SweepRequest(SharedOptions):
 
 
 @takes(SweepRequest)
-def width_sweep(scene: Scene, asked: SweepRequest) -> xr.Dataset:
+def width_sweep(scene: Scene, request: SweepRequest) -> xr.Dataset:
     """Coarse-grain with several widths: the bias of each width, and the plateau of each field.
 
     The plateau is where the logarithmic slope ``|d ln f / d ln w|`` is smallest, if it is below
@@ -97,19 +97,21 @@ def width_sweep(scene: Scene, asked: SweepRequest) -> xr.Dataset:
     thinner than the width it is large, but no more than a sign that the width is too large there.
     The noise of few grains adds to it: compare with the errors of the field (``errors=True``).
     """
-    lengths = sorted({resolve_width(width, scene.sizes) for width in asked.widths})
+    lengths = sorted({resolve_width(width, scene.sizes) for width in request.widths})
     if len(lengths) < 2:
-        raise ValueError(f"widths={list(asked.widths)!r}: expected two or more different widths")
-    points, along = _points(asked.at)
-    call = asked.call("width_sweep")
-    scene, asked = prepare(scene, asked)
+        raise ValueError(f"widths={list(request.widths)!r}: expected two or more different widths")
+    points, along = _points(request.at)
+    call = request.call("width_sweep")
+    scene, request = prepare(scene, request)
     refuse_cylindrical(scene.ds, "width_sweep")
-    asked = replace(asked, axes=asked.axes or "")
-    if asked.axes:
-        asked = with_nodes(scene, asked, lengths, points[0])
+    request = replace(request, axes=request.axes or "")
+    if request.axes:
+        request = with_nodes(scene, request, lengths, points[0])
     swept = [
         join_widths(
-            scene, lengths, partial(asked.ask, fields=asked.fields, at=point, for_averages=False)
+            scene,
+            lengths,
+            partial(request.as_request, fields=request.fields, at=point, for_averages=False),
         )
         for point in points
     ]
@@ -122,9 +124,9 @@ def width_sweep(scene: Scene, asked: SweepRequest) -> xr.Dataset:
     widths = np.array(lengths)
     more = dict[str, xr.DataArray]()
     for field in map(str, joined.data_vars):
-        more |= _bias(field, joined[field], widths, asked.max_bias)
+        more |= _bias(field, joined[field], widths, request.max_bias)
         if len(lengths) > 2:
-            more |= _plateau(field, joined[field], widths, asked.max_slope)
+            more |= _plateau(field, joined[field], widths, request.max_slope)
     return joined.assign(more).assign_attrs(provenance(scene.ds, call))
 
 

@@ -102,7 +102,7 @@ def with_accessible(
 
         chi = da.from_delayed(delayed(accessible.values)(), accessible.shape, float)
     else:
-        with shown(accessible.steps, None, what="rays and nodes at walls") as bar:
+        with shown(accessible.work, None, what="rays and nodes at walls") as bar:
             chi = accessible.values(bar.update)
     field = xr.DataArray(chi, dims=accessible.dims).expand_dims(time=f.sizes["time"])
     field = field.assign_attrs(
@@ -239,14 +239,14 @@ class Accessible:
     average: AveragedFraction | None
 
     @property
-    def steps(self) -> int:
-        """Number of steps that `values` counts: rays, or points."""
+    def work(self) -> int:
+        """Number of rays, or of points, that `values` goes through."""
         if self.average:
-            return self.average.steps
+            return self.average.ray_count
         return len(self.points)
 
     def values(self, advance: Callable[[int], object] = lambda _: None) -> NDArray:
-        """Compute the fraction at the nodes; `advance` is called with the number of steps that are finished."""
+        """Compute the fraction at the nodes; `advance` is called with the number that is finished."""
         if self.average:
             fraction = self.average.values(advance)
         else:
@@ -275,7 +275,7 @@ class Accessible:
         work = f"at {len(self.points)} points, by up to {2 * _POLAR * _TURNS} rays from each"
         if self.average:
             along = COMPONENTS[self.average.along]
-            work = f"by {self.average.steps} rays along {along}"
+            work = f"by {self.average.ray_count} rays along {along}"
         return f"the accessible fraction {work} takes about {seconds:.2g} s, once for all steps"
 
 

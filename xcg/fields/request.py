@@ -219,7 +219,7 @@ class SharedOptions:
         for axis, length in (self.extent or {}).items():
             check(f"extent[{axis!r}]", length, POSITIVE, "m")
 
-    def ask(self, **own: Any) -> Request:
+    def as_request(self, **own: Any) -> Request:
         """Return a `Request` with these options and further arguments of `coarse_grain`."""
         return Request(
             **own, **{field.name: getattr(self, field.name) for field in fields(SharedOptions)}

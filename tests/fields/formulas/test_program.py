@@ -109,17 +109,17 @@ def test_equal_operations_are_traced_once():
     a, b = record.load("momentum", np.arange(2))[0, 0]
     assert (a + b).number == (b + a).number
     assert (a - b).number != (b - a).number
-    written = len(record.steps)
+    written = len(record.instructions)
     assert (a * b + 1.0).number != (a * b + 2.0).number
-    assert len(record.steps) == written + 5  # the product, two constants, two sums
+    assert len(record.instructions) == written + 5  # the product, two constants, two sums
 
 
-def test_the_program_of_stress_has_no_superfluous_steps():
-    steps = program.program_for(("stress",), Options()).steps[:, 0]
-    assert not np.isin(steps, [kernel.FIT, kernel.SQUARE_ROOT]).any()
+def test_the_program_of_stress_has_no_superfluous_instructions():
+    instructions = program.program_for(("stress",), Options()).instructions[:, 0]
+    assert not np.isin(instructions, [kernel.FIT, kernel.SQUARE_ROOT]).any()
     # six kinetic components of symmetric tensors, not nine; each to nine of the contacts
-    assert (steps == kernel.ADD).sum() == 9
-    assert (steps == kernel.STORE).sum() == 1
+    assert (instructions == kernel.ADD).sum() == 9
+    assert (instructions == kernel.STORE).sum() == 1
 
 
 @pytest.mark.parametrize("gradient", ["least_squares", "kernel", "paper"])
@@ -136,9 +136,9 @@ def test_all_fields_of_the_registry_are_traced(gradient, groups):
 
 def test_negation_is_traced_to_the_bit():
     (a,) = symbols.Trace().load("mass", np.arange(1))[0, 0]
-    kind, operands = a.record.steps[(-a).number]
+    kind, operands = a.record.instructions[(-a).number]
     assert kind == kernel.MULTIPLY
-    assert (kernel.CONSTANT, (-1.0,)) in [a.record.steps[k] for k in operands]
+    assert (kernel.CONSTANT, (-1.0,)) in [a.record.instructions[k] for k in operands]
 
 
 @pytest.mark.parametrize("operation", [

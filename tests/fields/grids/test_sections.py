@@ -250,7 +250,7 @@ def test_a_map_in_slabs_equals_that_in_one_piece(monkeypatch):
     np.testing.assert_allclose(
         slabs.values(finished.append), whole.values(lambda _: None), atol=MAP
     )
-    assert sum(finished) == slabs.steps
+    assert sum(finished) == slabs.ray_count
 
 
 def test_ends_of_open_parts_are_where_the_side_of_a_wall_changes():

@@ -1,7 +1,7 @@
-"""Functions of formulas: of arrays of numbers, or of symbols that write down the steps which numbers would take.
+"""Functions of formulas: of arrays of numbers, or of symbols that write down the instructions for numbers.
 
 A symbol is a number at a node that is not known yet. Formulas run on arrays of either kind, element
-for element the same; a program of steps is traced by running them once on symbols. Operations that
+for element the same; a program of instructions is traced by running them once on symbols. Operations that
 symbols lack raise UnknownOperation; such formulas are left to NumPy.
 """
 
@@ -28,18 +28,18 @@ class UnknownOperation(NotImplementedError, TypeError):
 
 @dataclass(eq=False)
 class Trace:
-    """The steps that were written down, each once however often it was asked for."""
+    """The instructions that were written down, each once however often it was asked for."""
 
-    steps: list[tuple[int, tuple[Hashable, ...]]] = field(default_factory=list)
+    instructions: list[tuple[int, tuple[Hashable, ...]]] = field(default_factory=list)
     _number: dict[tuple[int, tuple[Hashable, ...]], int] = field(default_factory=dict)
 
     def add(self, operation: int, *operands: Hashable) -> Symbol:
-        """Write down a step, of which the operands are numbers of earlier ones."""
-        step = operation, operands
-        if step not in self._number:
-            self._number[step] = len(self.steps)
-            self.steps.append(step)
-        return Symbol(self, self._number[step])
+        """Write down an instruction, of which the operands are numbers of earlier ones."""
+        instruction = operation, operands
+        if instruction not in self._number:
+            self._number[instruction] = len(self.instructions)
+            self.instructions.append(instruction)
+        return Symbol(self, self._number[instruction])
 
     def of(self, value: Any) -> Symbol:
         """Return a symbol for a value that may be a number."""
@@ -66,7 +66,7 @@ class Trace:
 
 @dataclass(eq=False, slots=True)
 class Symbol:
-    """The result of a step; arithmetic with it makes further steps."""
+    """The result of an instruction; arithmetic with it makes further ones."""
 
     record: Trace
     number: int
@@ -95,7 +95,9 @@ class Symbol:
         return self * self
 
     def _no_value(self, *others: Any) -> NoReturn:
-        raise UnknownOperation("the value of a symbol is not known while steps are written down")
+        raise UnknownOperation(
+            "the value of a symbol is not known while instructions are written down"
+        )
 
     __bool__ = __float__ = __int__ = __index__ = _no_value
     __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _no_value
@@ -151,8 +153,8 @@ def as_symbols(value: Any) -> Any:
 
 
 def _each(array: NDArray, operation: int) -> NDArray:
-    steps = [symbol.record.add(operation, symbol.number) for symbol in array.ravel()]
-    return as_symbols(np.array(steps, object).reshape(array.shape))
+    roots = [symbol.record.add(operation, symbol.number) for symbol in array.ravel()]
+    return as_symbols(np.array(roots, object).reshape(array.shape))
 
 
 def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:

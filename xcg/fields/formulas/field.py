@@ -155,7 +155,7 @@ class Support:
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """Field of the registry; names with an underscore first are steps of the algebra, not fields themselves.
+    """Field of the registry; names with an underscore first are parts of others, not fields themselves.
 
     Attributes
     ----------

@@ -25,11 +25,11 @@ PADDED = 8  # least length of a tuple of arrays; others are 4, 16, ... times as 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Steps from the moments at a node to its fields.
+    """Instructions from the moments at a node to its fields.
 
     Attributes
     ----------
-    steps : array (n, 4)
+    instructions : array (n, 4)
         As `xcg.compiled.program.run` takes them.
     scratch : array (rows, TILE)
         Constants in their rows.
@@ -44,7 +44,7 @@ class Program:
         a place; how many there are.
     """
 
-    steps: NDArray
+    instructions: NDArray
     scratch: NDArray
     inputs: tuple[tuple[str, int, int], ...]
     target: NDArray
@@ -81,7 +81,7 @@ class Program:
                 (first_array[number] + group, first_column + column, float(factor[group]))
             )
         factors = list(dict.fromkeys(factor for _, _, factor in sources))
-        # rows of the scratch: constants, factors, columns of each array, results of steps
+        # rows of the scratch: constants, factors, columns of each array, results of instructions
         constants = len(self.scratch)
         widths = [array.shape[1] for array in arrays]
         whole_lines = [width + -width % EIGHT for width in widths]
@@ -97,7 +97,7 @@ class Program:
         if order is not None:
             place = place[order]
         loops.run(
-            self.steps,
+            self.instructions,
             _padded([_flat(array) for array in arrays]),
             columns_of_arrays.astype("uint64"),
             np.array(inputs, "uint64").reshape(-1, 2),
@@ -164,34 +164,34 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
             results[name, first, together] = [record.of(value).number for value in values]
     if not results:
         return None
-    return _allocate(record.steps, results)
+    return _allocate(record.instructions, results)
 
 
 def _allocate(
     recorded: Sequence[tuple[int, tuple[Any, ...]]],
     results: Mapping[tuple[str, int, int], Sequence[int]],
 ) -> Program:
-    """Assign the steps that lead to results to rows of numbers; rows are reused once nothing needs them.
+    """Assign the instructions that lead to results to rows of numbers; rows are reused once nothing needs them.
 
-    `results` holds the steps that lead to the components of each store. What is stored together is
+    `results` holds the instructions that lead to the components of each store. What is stored together is
     stored as soon as it is there.
     """
     uses = _uses(recorded, results)
     row, constants, kept = _rows_for_good(recorded, sorted(uses))
     free: list[int] = []
     fresh = count(kept)
-    steps: list[tuple[int, int, int, int]] = []
+    instructions: list[tuple[int, int, int, int]] = []
     inputs: list[tuple[str, int, int]] = []
     stored: list[tuple[str, int, int]] = []
     target = np.zeros((len(results), 9), "uint64")
 
     def row_of(number: int) -> int:
-        """Return the row of the result of a step; a column is loaded when it is first needed."""
+        """Return the row of the result of an instruction; a column is loaded when it is first needed."""
         operation, operands = recorded[number]
         if number not in row:
             row[number] = free.pop() if free else next(fresh)
         if operation == loops.LOAD and operands not in inputs:
-            steps.append((loops.LOAD, row[number], len(inputs), 0))
+            instructions.append((loops.LOAD, row[number], len(inputs), 0))
             inputs.append((operands[0], operands[1], operands[2]))
         return row[number]
 
@@ -202,14 +202,14 @@ def _allocate(
         operation, operands = recorded[number]
         if operation == loops.FIT:
             rows = [row_of(operand) for operand in operands[1:]]
-            steps.append((loops.FIT, row[number], rows[0], operands[0]))
+            instructions.append((loops.FIT, row[number], rows[0], operands[0]))
         elif operation not in (loops.CONSTANT, loops.LOAD, loops.PART):
             rows = [row_of(operand) for operand in operands]
-            steps.append((operation, row_of(number), rows[0], rows[-1]))
+            instructions.append((operation, row_of(number), rows[0], rows[-1]))
         taken = list(_operands(operation, operands))
         for store in complete.get(number, ()):
             target[len(stored), : len(results[store])] = [row_of(k) for k in results[store]]
-            steps.append((loops.STORE, len(stored), 0, 0))
+            instructions.append((loops.STORE, len(stored), 0, 0))
             stored.append(store)
             taken += results[store]
         for operand in taken:  # after its last use its row is free
@@ -220,14 +220,14 @@ def _allocate(
     for place, value in constants.items():
         scratch[place] = value
     widths, stores = _table_of_stores(stored)
-    return Program(np.array(steps, "uint64"), scratch, tuple(inputs), target, widths, stores)
+    return Program(np.array(instructions, "uint64"), scratch, tuple(inputs), target, widths, stores)
 
 
 def _uses(
     recorded: Sequence[tuple[int, tuple[Any, ...]]],
     results: Mapping[tuple[str, int, int], Sequence[int]],
 ) -> Counter[int]:
-    """Return how often each step that leads to a result is used."""
+    """Return how often each instruction that leads to a result is used."""
     uses = Counter(number for numbers in results.values() for number in numbers)
     waiting = list(uses)
     while waiting:
@@ -241,7 +241,7 @@ def _uses(
 def _rows_for_good(
     recorded: Sequence[tuple[int, tuple[Any, ...]]], numbers: Iterable[int]
 ) -> tuple[dict[int, int], dict[int, float], int]:
-    """Return the rows of steps that are never reused, the constants by row, and the next row.
+    """Return the rows of instructions that are never reused, the constants by row, and the next row.
 
     They are rows of constants, and of what a fit takes and finds, side by side.
     """
@@ -280,7 +280,7 @@ def _table_of_stores(
 
 
 def _operands(operation: int, operands: tuple[Any, ...]) -> tuple[int, ...]:
-    """Return the steps that a step takes something from."""
+    """Return the instructions that an instruction takes something from."""
     if operation in (loops.CONSTANT, loops.LOAD):
         return ()
     if operation in (loops.FIT, loops.PART):

@@ -135,8 +135,8 @@ def make_rings(
         angles = nodes.get("theta", np.array([fixed.get("theta", 0.0)]))
         rules = [[(np.array([angle]), np.ones(1)) for angle in angles] for _ in radii]
     else:
-        step, error_met = angular_step(kernel, dimension - len(averaged), error)
-        rules = [[_average(radius, step, low, high)] for radius in radii]
+        distance, error_met = spacing_of_angles(kernel, dimension - len(averaged), error)
+        rules = [[_average(radius, distance, low, high)] for radius in radii]
     count = sum(len(share) for rule in rules for _, share in rule) * len(heights)
     if count > MAX_NODES:
         raise ValueError(
@@ -247,7 +247,7 @@ def _part_of_circle(bounds: Bounds) -> tuple[float, float]:
     return low, high
 
 
-def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]:
+def spacing_of_angles(kernel: Kernel, seen: int, error: float) -> tuple[float, float]:
     """Distance of neighbours on a ring (m) for which sums over them meet an error, and the error that they do meet.
 
     The error of the trapezoidal rule on a line through the support, at any distance from its middle
@@ -257,32 +257,32 @@ def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]
     offset = np.linspace(0.0, 0.98, 41)
     shift = (np.arange(32) + 0.5) / 32
 
-    def sums(step: float, starts: NDArray) -> NDArray:
-        number = np.arange(-math.ceil(1.0 / step) - 1, math.ceil(1.0 / step) + 2)
-        along = (number + starts[:, None]) * step
+    def sums(spacing: float, starts: NDArray) -> NDArray:
+        number = np.arange(-math.ceil(1.0 / spacing) - 1, math.ceil(1.0 / spacing) + 2)
+        along = (number + starts[:, None]) * spacing
         length = np.sqrt(offset[:, None, None] ** 2 + along**2) * kernel.cutoff
-        return step * kernel.value(length, seen).sum(axis=-1)
+        return spacing * kernel.value(length, seen).sum(axis=-1)
 
     exact = sums(1.0 / 2000, np.zeros(1))
-    step = 1.0
+    spacing = 1.0
     while True:
-        error_met = float(np.abs(sums(step, shift) - exact).max() / exact[0, 0])
-        if error_met <= error or step <= 1.0 / _FINEST:
-            return step * kernel.cutoff, error_met
-        step *= 0.93
+        error_met = float(np.abs(sums(spacing, shift) - exact).max() / exact[0, 0])
+        if error_met <= error or spacing <= 1.0 / _FINEST:
+            return spacing * kernel.cutoff, error_met
+        spacing *= 0.93
 
 
-def _average(radius: float, step: float, low: float, high: float) -> tuple[NDArray, NDArray]:
+def _average(radius: float, spacing: float, low: float, high: float) -> tuple[NDArray, NDArray]:
     """Angles of an average over a circle or a part of it, and their shares.
 
     Around a circle trapezoids converge fast for what is smooth; a part has ends, and takes panels
     of Gauss-Legendre points.
     """
     if high - low > _FULL * (1 - 1e-12):
-        count = max(_FEWEST, math.ceil(_FULL * radius / step))
+        count = max(_FEWEST, math.ceil(_FULL * radius / spacing))
         return _FULL * np.arange(count) / count, np.full(count, 1.0 / count)
     x, w = np.polynomial.legendre.leggauss(_PANEL)
-    most = min(step * _PANEL * 2.0 / math.pi / max(radius, 1e-300), 0.5 * math.pi)
+    most = min(spacing * _PANEL * 2.0 / math.pi / max(radius, 1e-300), 0.5 * math.pi)
     panels = math.ceil((high - low) / most)
     edges = np.linspace(low, high, panels + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])

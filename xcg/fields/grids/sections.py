@@ -70,20 +70,20 @@ def open_ends(
         1 where an accessible part begins, -1 where one ends, and 0 elsewhere.
     """
     places = [np.zeros((len(starts), 1))]
-    steps = [np.zeros((len(starts), 1), int)]  # of the number of walls that the ray is behind
+    jumps = [np.zeros((len(starts), 1), int)]  # of the number of walls that the ray is behind
     behind = np.zeros((len(starts), 1), int)
     for wall in walls:
         is_open, crossings = wall.crossings_along(starts, axis, reach)
         crossings = np.minimum(np.sort(crossings, axis=1), reach)
         closes = is_open[:, None] ^ (np.arange(crossings.shape[1]) % 2 == 1)
         places.append(crossings)
-        steps.append(np.where(closes, 1, -1))
+        jumps.append(np.where(closes, 1, -1))
         behind += ~is_open[:, None]
     place = np.concatenate(places, axis=1)
     order = np.argsort(place, axis=1, kind="stable")
     place = np.take_along_axis(place, order, axis=1)
-    step = np.take_along_axis(np.concatenate(steps, axis=1), order, axis=1)
-    is_open = behind + np.cumsum(step, axis=1) == 0
+    jump = np.take_along_axis(np.concatenate(jumps, axis=1), order, axis=1)
+    is_open = behind + np.cumsum(jump, axis=1) == 0
     change = np.diff(is_open.astype(int), axis=1, prepend=0)
     return place, change
 
@@ -191,7 +191,7 @@ class AveragedFraction:
         return [_SeenCells.around(rows, places[rows], cutoff) for rows in members]
 
     @property
-    def steps(self) -> int:
+    def ray_count(self) -> int:
         """Number of rays."""
         if not self.seen:
             return RAYS
@@ -226,7 +226,7 @@ class AveragedFraction:
         open_ends(rays[:1], self.walls, self.along, high - low)  # compiles what is not compiled yet
         start = perf_counter()
         open_ends(rays, self.walls, self.along, high - low)
-        return (perf_counter() - start) * self.steps / len(rays)
+        return (perf_counter() - start) * self.ray_count / len(rays)
 
     def _bounds(self, cells: _SeenCells | None) -> tuple[float, float]:
         """Return where rays begin and end (m)."""

@@ -250,12 +250,12 @@ def lammps_mesh(
                 f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box"
             )
         check(f"delta[{a!r}]", sizes.get(a), POSITIVE, "m")
-        step = sizes[a]
+        size = sizes[a]
         first, last = edges[a]
         first = (origin or {}).get(a, first)
         # a box of a whole number of bins has that many, whatever the rounding
-        count = max(1, math.ceil((last - first) / step * (1 - 1e-12)))
-        bounds[a] = (first + 0.5 * step, first + (count - 0.5) * step)
-        spacing[a] = step
+        count = max(1, math.ceil((last - first) / size * (1 - 1e-12)))
+        bounds[a] = (first + 0.5 * size, first + (count - 0.5) * size)
+        spacing[a] = size
     kernel = Gaussian(width, cutoff=cutoff, shifted=True)
     return {"axes": axes, "bounds": bounds, "spacing": spacing, "kernel": kernel}

@@ -161,17 +161,17 @@ class Kernel:
         """Integral of the square of the kernel, as it is seen in some dimensions (m^-seen)."""
         if not seen:
             return 1.0
-        r, step = np.linspace(0.0, self.cutoff, 2001, retstep=True)
+        r, spacing = np.linspace(0.0, self.cutoff, 2001, retstep=True)
         shells = {1: 2.0, 2: 2 * np.pi * r, 3: 4 * np.pi * r**2}
-        return float(np.trapezoid(self.value(r, seen) ** 2 * shells[seen], dx=step))
+        return float(np.trapezoid(self.value(r, seen) ** 2 * shells[seen], dx=spacing))
 
     def second_moment(self, seen: int) -> float:
         """Variance of the place of a grain along an axis, as the kernel weighs it in some dimensions (m^2)."""
         if not seen:
             return 0.0
-        r, step = np.linspace(0.0, self.cutoff, 2001, retstep=True)
+        r, spacing = np.linspace(0.0, self.cutoff, 2001, retstep=True)
         shells = {1: 2.0 * r**2, 2: np.pi * r**3, 3: 4 / 3 * np.pi * r**4}[seen]
-        return float(np.trapezoid(self.value(r, seen) * shells, dx=step))
+        return float(np.trapezoid(self.value(r, seen) * shells, dx=spacing))
 
     def mean_of_cells(self, values: NDArray, places: NDArray, size: float) -> NDArray:
         """Return means of values of cells about places, weighted by the kernel, seen along the axes of the cells.
