@@ -426,6 +426,10 @@ TABLE = [
         "test_the_square_of_a_norm_without_its_bias_is_that_of_the_mean_less_its_variance",
     ),
     Mutation(
+        "fields/formulas/doubts.py", "error > angle / 2", "error < angle / 2",
+        "test_angles_that_are_noise_warn_and_have_no_bias",
+    ),
+    Mutation(
         "fields/formulas/doubts.py", "bias > _NOISY * norm", "bias < _NOISY * norm",
         "test_norms_that_are_more_noise_than_truth_warn_of_both_values",
     ),

@@ -187,6 +187,21 @@ def test_anisotropies_without_a_floor_warn_of_the_noise_of_few_steps():
     )
 
 
+def test_angles_that_are_noise_warn_and_have_no_bias():
+    """Of turned contacts stress and fabric are 0.2 rad apart; in a volume noise turns both."""
+    (system,) = truths.systems(["turned contacts"])
+    f, _ = told(system.make().cg.coarse_grain, "stress_fabric_angle", **truths.VOLUME)
+    mean, texts = told(f.cg.time_average)
+    (text,) = [text for text in texts if "stress_fabric_angle is" in text]
+    numbers = re.search(r"is ([\d.]+) rad in .* with an error of ([\d.]+) rad", text)
+    assert float(numbers[1]) == pytest.approx(float(mean.stress_fabric_angle.mean()), rel=0.05)
+    assert float(numbers[1]) > 1.5 * system.truths[1].value
+    assert float(numbers[2]) > 0.5 * float(numbers[1])
+    assert "stress_fabric_angle_bias" not in mean
+    f, _ = told(system.make().cg.coarse_grain, "stress_fabric_angle", **truths.PROFILE)
+    assert told(f.cg.time_average)[1] == []
+
+
 def test_the_floor_of_a_profile_is_that_of_the_marginal():
     """As many places as share no grains are averaged: the support of a slab has all of them."""
     ds = truths.packing(count=300, steps=1)

@@ -33,6 +33,7 @@ from xcg.fields.formulas.doubts import (
     with_floors,
     with_noise,
     with_unknown_temperatures,
+    with_unsure_angle,
 )
 from xcg.fields.formulas.mean_sums import Averaging, require_fields
 from xcg.fields.formulas.one_task import in_one_task, is_small
@@ -258,6 +259,8 @@ def _beside(
         if row and is_checked_for_noise(f, name, row, count):
             norm = mean[name].variable
             error = with_noise(name, row, norm, blocks.biases[name].variable, error, call)
+        if row and row.is_angle and count >= MIN_BIAS_BLOCKS:
+            error = with_unsure_angle(name, mean[name].variable, error, call)
         if row and count >= MIN_BIAS_BLOCKS and has_bias(row, options):
             bias = blocks.biases[name].variable.where(known)
             if name == "nematic_order" and options.dimension == 3:

@@ -329,6 +329,29 @@ def _warned_of_noise(
     return errors
 
 
+def with_unsure_angle(name: str, angle: xr.Variable, error: xr.Variable, call: Once) -> xr.Variable:
+    """Return the error of an averaged angle, which warns if its mean is more than half of that of the angle."""
+    known = angle.notnull() & error.notnull()
+    means = [values.where(known).sum() / known.sum().clip(1) for values in (angle, error)]
+    warn = partial(_warned_of_angle, call, name)
+    told = xr.apply_ufunc(warn, error, *means, dask="parallelized", output_dtypes=[float])
+    told.attrs = error.attrs
+    return told
+
+
+def _warned_of_angle(call: Once, name: str, errors: NDArray, *means: NDArray) -> NDArray:
+    """Return the errors of an angle; warn if they are more than half of the angle."""
+    angle, error = (float(np.max(mean)) for mean in means)
+    if error > angle / 2:
+        call.warn(
+            f"unsure {name}",
+            f"time_average: {name} is {angle:.2g} rad in the mean of the nodes, with an error of {error:.2g} rad: "
+            "noise turns the axes of few grains, so that small angles are too large. Average over more steps, runs or "
+            "axes (axes=), or increase width=",
+        )
+    return errors
+
+
 # --- floors ------------------------------------------------------------------------------------------
 
 FLOOR = "floor_of_one_step"

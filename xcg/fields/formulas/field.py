@@ -189,6 +189,8 @@ class Field:
     is_norm : bool
         Whether it is a norm of averaged sums, by itself or over others: the bias of its square is
         exact, see `xcg.fields.formulas.block_errors`.
+    is_angle : bool
+        Whether it is an angle of axes (rad): noise turns these, and blocks do not show by how much.
     averages : str
         What averages are, where a user may expect something else, for the attributes.
     floor : callable, optional
@@ -223,6 +225,7 @@ class Field:
     harmonic: bool = False
     covariance: Function | None = None
     is_norm: bool = False
+    is_angle: bool = False
     references: str = ""
     averages: str = ""
     floor: Callable[[Support], float] | None = None

@@ -87,7 +87,9 @@ def errors_among(names: Iterable[str]) -> list[str]:
 
 
 def has_bias(row: Field, options: Options) -> bool:
-    """Return whether a field of averaged sums has a bias: it is neither linear in them nor a ratio of two."""
+    """Return whether a field of averaged sums has a known bias: it is neither linear in them, a ratio, nor an angle."""
+    if row.is_angle:
+        return False
     return not (row.additive or row.weight) or takes_covariance(row, options)
 
 

@@ -179,6 +179,7 @@ ROWS: dict[str, Field] = {
         usual=floors.USUAL_ANGLE,
         floor_units="rad",
         default=False,
+        is_angle=True,
     ),
     "stress_strain_rate_angle": Field(
         long_name="angle between the axes of largest stress and of fastest compression, in radians",
@@ -191,6 +192,7 @@ ROWS: dict[str, Field] = {
         usual=floors.USUAL_ANGLE,
         floor_units="rad",
         default=False,
+        is_angle=True,
     ),
     "stress_fabric_angle": Field(
         long_name="angle between the axes of largest stress and of most contacts, in radians",
@@ -203,6 +205,7 @@ ROWS: dict[str, Field] = {
         usual=floors.USUAL_ANGLE,
         floor_units="rad",
         default=False,
+        is_angle=True,
     ),
     "friction_coefficient": Field(
         long_name="friction coefficient",
