@@ -71,14 +71,7 @@ class CoarseGraining(FrameAnalysis):
 
     def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return dimensions and units of the fields."""
-        rows = {}
-        for name, field in self.plan.rows.items():
-            dims = [*self.plan.dims]
-            if field.paired:
-                dims.append("other_phase")
-            dims += ("component", "direction")[: field.rank]
-            rows[name] = Variable(tuple(dims), field.units, field.long_name)
-        return rows
+        return self.plan.outputs
 
     def coords(self, scene: Scene) -> dict[str, xr.Variable]:
         """Return the nodes, phases and axes, and the options that averages depend on."""

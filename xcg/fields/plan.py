@@ -30,7 +30,7 @@ from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE, Nodes
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.scene.facts import extent_text
 from xcg.scene.scene import Scene
-from xcg.scene.schema import COMPONENTS, Setup
+from xcg.scene.schema import COMPONENTS, Setup, Variable
 from xcg.scene.summary import Summary
 
 # what passes go over, as the text of a plan names it, by `over` of their moments
@@ -44,6 +44,7 @@ _OVER = {
     "walls": "contact points at walls",
 }
 _PASS_EACH = ("vectors", "branches")  # whose moments have a pass each
+_OF_TENSORS = ("component", "direction")
 DENSE = 0.6  # volume fraction of the packing for which the noise is estimated
 
 
@@ -104,9 +105,9 @@ class Plan:
     `phases`, their number, the bulk included; `rows` of the fields; `group_count`, without it, and
     `other_count`, groups of partners, the last one for walls; `kernel`, the widest; `weights`, the
     first kernel as loops take it; `cutoffs` and `widths` of the kernels (m), and `cutoff_of_group`;
-    `shapes`, of one step of each field in the result; `reached`, the number of nodes in the box
-    around the support of a grain; `block_nodes`, of those computed at a time; `attrs`, attributes
-    of the result.
+    `outputs`, the fields as variables of the result, and `shapes`, of one step of each; `reached`,
+    the number of nodes in the box around the support of a grain; `block_nodes`, of those computed
+    at a time; `attrs`, attributes of the result.
     """
 
     fields: tuple[str, ...]
@@ -142,14 +143,18 @@ class Plan:
         self.widths = [k.width for k in self.kernels]
         self.cutoff_of_group = np.resize(self.cutoffs, self.group_count)
         self.dims = self.nodes.dims
-        sizes = self.nodes.sizes
         if self.by:
             self.dims += ("phase",)
-            sizes += (self.phases,)
+        lengths = dict(zip(self.nodes.dims, self.nodes.sizes, strict=True))
+        lengths |= {"phase": self.phases, "other_phase": self.phases} | dict.fromkeys(
+            _OF_TENSORS, 3
+        )
+        self.outputs: dict[str, Variable] = {}
         self.shapes: dict[str, tuple[int, ...]] = {}
-        for name in self.fields:
-            row = self.rows[name]
-            self.shapes[name] = sizes + (self.phases,) * row.paired + (3,) * row.rank
+        for name, row in self.rows.items():
+            dims = self.dims + ("other_phase",) * row.paired + _OF_TENSORS[: row.rank]
+            self.outputs[name] = Variable(dims, row.units, row.long_name)
+            self.shapes[name] = tuple(lengths[dim] for dim in dims)
         self.reached = self.nodes.nodes_within(2.0 * max(self.cutoffs))
 
     @cached_property

@@ -16,18 +16,17 @@ def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ..
     """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
     names = tuple(names)
     errors = errors_among(names)
-    rows = {name: registry.row(name, options) for name in names if name not in errors}
-    needed = all_of(lacking_sums(rows, options))
-    for name in needed:
-        rows[name] = registry.row(name, options)
-    if any(takes_covariance(row, options) for row in rows.values()):
-        needed += tuple(name for name in OF_COVARIANCE if name not in (*names, *needed))
-    return needed
+    held = dict.fromkeys(name for name in names if name not in errors)
+    for name in tuple(held):
+        _obtained(name, registry.row(name, options), held, options)
+    if any(takes_covariance(registry.row(name, options), options) for name in held):
+        held |= dict.fromkeys(OF_COVARIANCE)
+    return tuple(name for name in held if name not in names)
 
 
 def lacking_sums(rows: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
     """Return the fields that averages of each field of a result lack, each named once; None stands for no row."""
-    held = set(rows)
+    held = dict.fromkeys(rows)
     lacking: dict[str, list[str]] = {}
     for name, row in rows.items():
         of_field = _obtained(name, row, held, options)
@@ -36,7 +35,7 @@ def lacking_sums(rows: Mapping[str, Field | None], options: Options) -> dict[str
     return lacking
 
 
-def _obtained(name: str, row: Field | None, held: set[str], options: Options) -> list[str]:
+def _obtained(name: str, row: Field | None, held: dict[str, None], options: Options) -> list[str]:
     """Return what averages of a field lack, and add it to what is `held`."""
     if row is None:
         return [NO_RULE]
@@ -54,11 +53,11 @@ def _obtained(name: str, row: Field | None, held: set[str], options: Options) ->
             lacking += _obtained(need, registry.row(need, options), held, options)
         return lacking
     parts = [part for part in parts if part not in held]
-    held.update(parts)
+    held |= dict.fromkeys(parts)
     return parts
 
 
-def _follows(name: str, held: set[str], options: Options) -> bool:
+def _follows(name: str, held: Mapping[str, None], options: Options) -> bool:
     """Return whether a sum is held, or follows from sums that are."""
     if name in held:
         return True
