@@ -136,10 +136,7 @@ def _compute(
     if like is not None:
         request = request_like(request)
     call = request.call("coarse_grain")
-    scene, request = prepare(scene, request)
-    rename = None
-    if request.preset is not None:
-        request, rename = PRESETS[request.preset](scene, request)
+    scene, request, rename = _in_names_of_xcg(*prepare(scene, request))
     if plan is None:
         plan = planned(scene, request)
     advise(scene, plan)
@@ -150,9 +147,16 @@ def _compute(
         result = with_accessible(result, scene, plan, request, walls)
     if like is not None:
         result = with_nodes_of(result, like)
-    if rename is not None:
-        result = rename(result)
-    return result
+    return rename(result)
+
+
+def _in_names_of_xcg(
+    scene: Scene, request: Request
+) -> tuple[Scene, Request, Callable[[xr.Dataset], xr.Dataset]]:
+    """Return a scene with a request in names of xcg, and what turns its result into those of its preset."""
+    if request.preset is None:
+        return scene, request, lambda result: result
+    return scene, *PRESETS[request.preset](scene, request)
 
 
 @takes(Request)
@@ -190,9 +194,7 @@ def explain(scene: Scene, request: Request) -> Plan:
     walls = walls_of(request)
     if request.like is not None:
         request = request_like(request)
-    scene, request = prepare(scene, request)
-    if request.preset is not None:
-        request, _ = PRESETS[request.preset](scene, request)
+    scene, request, _ = _in_names_of_xcg(*prepare(scene, request))
     plan = make_plan(scene, request)
     advise(scene, plan)
     cost = None

@@ -132,14 +132,11 @@ class Kernel:
         kind: int | None = self.code + codimension
         if kind == codes.LUCY:
             kind = LUCY_FULL
+        table = PLAIN  # of kernels with formulas
+        if self.profile is not None:
+            table = table_of(self.profile, codimension)
         norm = self._unit_norm(dimension) / self.cutoff**seen
-        return KernelCode(kind, self._table(codimension), norm)
-
-    def _table(self, codimension: int) -> NDArray | None:
-        """Return the polynomials that loops take, `PLAIN` for kernels with formulas."""
-        if self.profile is None:
-            return PLAIN
-        return table_of(self.profile, codimension)
+        return KernelCode(kind, table, norm)
 
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)
