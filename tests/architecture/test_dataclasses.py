@@ -8,7 +8,7 @@ import pytest
 import xcg
 from tests.architecture import PACKAGE, nodes_of_package
 from xcg.fields.choice import options_of
-from xcg.fields.formulas.program import program_for
+from xcg.fields.formulas.tracing import program_for
 from xcg.fields.request import Request
 from xcg.scene.scene import Scene
 

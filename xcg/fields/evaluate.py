@@ -17,7 +17,7 @@ from xcg.fields.computed_step import ComputedStep
 from xcg.fields.deposit import Sums
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.program import program_for
+from xcg.fields.formulas.tracing import program_for
 from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan
 from xcg.fields.sums.nodes import Block

@@ -11,8 +11,7 @@ import pytest
 import xcg
 from xcg.compiled import program as kernel
 from xcg.fields.formulas import algebra as symbols
-from xcg.fields.formulas import program as program
-from xcg.fields.formulas import registry
+from xcg.fields.formulas import program, registry, tracing
 from xcg.fields.formulas.field import Gradient, Options, Temperature
 from xcg.fields.formulas.registry import _made_up
 from xcg.fields.formulas.rows import orientation
@@ -115,7 +114,7 @@ def test_equal_operations_are_traced_once():
 
 
 def test_the_program_of_stress_has_no_superfluous_instructions():
-    instructions = program.program_for(("stress",), Options()).instructions[:, 0]
+    instructions = tracing.program_for(("stress",), Options()).instructions[:, 0]
     assert not np.isin(instructions, [kernel.FIT, kernel.SQUARE_ROOT]).any()
     # six kinetic components of symmetric tensors, not nine; each to nine of the contacts
     assert (instructions == kernel.ADD).sum() == 9
@@ -128,7 +127,7 @@ def test_all_fields_of_the_registry_are_traced(gradient, groups):
     options = Options(gradient=gradient, fluid_viscosity=1e-3, friction=0.4)
     names = tuple(name for name in LISTED if groups or not registry.FIELDS[name].paired)
     # rotations take singular values, and follow from the deformation gradient when that is whole
-    assert set(program.program_for(names, options, groups).widths) == set(names) - {
+    assert set(tracing.program_for(names, options, groups).widths) == set(names) - {
         "rotation",
         "rotation_vector",
     }

@@ -9,7 +9,7 @@ import pytest
 import xcg
 from tests import ROOT, planning
 from tests.scenes import random_steps
-from xcg.fields.formulas import program, registry
+from xcg.fields.formulas import registry, tracing
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.rows import displacement
 from xcg.fields.formulas.rows.errors import OF_FITS
@@ -40,12 +40,12 @@ def register_all():
 def test_numpy_computes_operations_that_cannot_be_traced():
     register_all()
     names = (*OWN, "stress", "velocity_gradient")
-    assert set(program.program_for(names, Options()).widths) == {
+    assert set(tracing.program_for(names, Options()).widths) == {
         *TRACED,
         "stress",
         "velocity_gradient",
     }
-    assert program.program_for(("cube",), Options()) is None
+    assert tracing.program_for(("cube",), Options()) is None
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import xarray as xr
 
 import xcg
 from tests.brute_force import BruteKernel, brute_force
-from xcg.fields.formulas.program import program_for
+from xcg.fields.formulas.tracing import program_for
 
 ISSUE_NAMES = """
 volume_fraction density_mixture density_particle d32 d43 coordination_number momentum_density velocity
