@@ -129,7 +129,10 @@ def about_width(scene: Scene, width: float, undercut: str | None) -> str:
     """Return why a width (m) is hardly meant, "" if it may be; `undercut` as in a plan."""
     sizes = scene.sizes
     largest = sizes.get("dmax", math.inf)
-    extent = _extent_of(scene)
+    extent = math.inf
+    if scene.corners is not None:
+        lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
+        extent = max(*lengths, *scene.periods.values())
     if width > _WIDE * largest:
         return f"width={width:.4g} is {width / largest:.2g} largest diameters; check the unit of lengths"
     if width > extent > 0 and extent > 2 * largest:
@@ -146,14 +149,6 @@ def about_width(scene: Scene, width: float, undercut: str | None) -> str:
         "kernel sees the inside of single grains, and no field of a continuum (volume fractions far above 1, "
         "too few particles per node); the usual choice is 0.75 mean diameters, see the page on width"
     )
-
-
-def _extent_of(scene: Scene) -> float:
-    """Return the largest extent of the grains, or of the box along periodic axes (m); infinity if it is not known."""
-    if scene.corners is None:
-        return math.inf
-    lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
-    return max(*lengths, *scene.periods.values())
 
 
 def _cuts(scene: Scene, plan: Plan) -> Warnings:

@@ -16,10 +16,10 @@ from xcg.fields.grids.frames import Cylindrical, Rotated, check_axis, in_frame
 from xcg.fields.grids.grid import MeshTooLargeError
 from xcg.fields.layout import LARGE, about_strays, check_size, kernels_of, undercut_size
 from xcg.fields.like import request_like, with_nodes_of
-from xcg.fields.plan import Plan, effective_count, make_plan
+from xcg.fields.plan import Plan, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes
-from xcg.fields.support import text_of_floors
+from xcg.fields.support import effective_count, text_of_floors
 from xcg.scene.bodies import group_bodies
 from xcg.scene.scene import Scene
 from xcg.scene.sizes import with_measures

@@ -282,22 +282,6 @@ def _letters(axes: Sequence[int]) -> str:
     return "".join(COMPONENTS[k] for k in axes)
 
 
-def effective_count(scene: Scene, plan: Plan) -> float | None:
-    """N_eff at a node for equal spheres (or discs in a layer) of d43 that fill the share `DENSE` of the space.
-
-    None for rings and widths by group, whose weights are not those of one kernel.
-    """
-    lengths = [
-        length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()
-    ]
-    other_weights = scene.cylindrical or len(plan.cutoffs) > 1
-    if other_weights or "d43" not in scene.sizes or not np.isfinite(lengths).all():
-        return None
-    space = scene.setup.dimension
-    number = DENSE / ({2: math.pi / 4, 3: math.pi / 6}[space] * scene.sizes["d43"] ** space)
-    return number * math.prod(lengths) / plan.kernel.squared_integral(len(plan.nodes.seen))
-
-
 def make_plan(scene: Scene, request: Request) -> Plan:
     """Plan what a request takes, of grains and fields of xcg.
 

@@ -7,9 +7,12 @@ import math
 import numpy as np
 
 from xcg.fields.formulas.field import Field, Support
-from xcg.fields.plan import Plan
+from xcg.fields.plan import DENSE, Plan
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.scene import Scene
+
+# volume of a sphere over that of the cube around it, in layers area of a disc over that of its square
+_SHARE_OF_CUBE = {2: math.pi / 4, 3: math.pi / 6}
 
 
 def text_of_floors(scene: Scene, plan: Plan) -> str | None:
@@ -22,6 +25,20 @@ def text_of_floors(scene: Scene, plan: Plan) -> str | None:
         return None
     values = ", ".join(f"{name} {row.floor_text(floor)}" for name, (floor, row) in floors.items())
     return f"{values} in one step where the true value is 0, from {support.text()} at a node"
+
+
+def effective_count(scene: Scene, plan: Plan) -> float | None:
+    """N_eff at a node for equal spheres (or discs in a layer) of d43 that fill the share `DENSE` of the space.
+
+    None for rings and widths by group, whose weights are not those of one kernel.
+    """
+    averaged = _averaged_over(scene, plan)
+    other_weights = scene.cylindrical or len(plan.cutoffs) > 1
+    if other_weights or "d43" not in scene.sizes or not math.isfinite(averaged):
+        return None
+    d = scene.setup.dimension
+    number = DENSE / (_SHARE_OF_CUBE[d] * scene.sizes["d43"] ** d) * averaged
+    return number / plan.kernel.squared_integral(len(plan.nodes.seen))
 
 
 def numbers_of_floors(plan: Plan, support: Support) -> dict[str, float]:
@@ -52,21 +69,19 @@ def support_of(scene: Scene, plan: Plan) -> Support | None:
     other_weights = len(plan.cutoffs) > 1
     size = scene.sizes.get("d43", np.nan)
     filled = _extent(scene, size)
-    lengths = [
-        length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()
-    ]
-    if other_weights or not count or not np.isfinite([filled, *lengths]).all():
+    averaged = _averaged_over(scene, plan)
+    if other_weights or not count or not np.isfinite([filled, averaged]).all():
         return None
     d = scene.setup.dimension
     seen = len(grid.seen)
     if scene.cylindrical and "theta" not in grid.coords:
         seen -= 1
-        lengths.append(2 * math.pi * float(np.median(grid.coords["r"])))
+        averaged *= 2 * math.pi * float(np.median(grid.coords["r"]))
     # in a unit of the space that the kernel sees
-    number = count / filled * math.prod(lengths)
+    number = count / filled * averaged
     partners = 2 * scene.ds.sizes.get("contact", 0) / count
     grains = max(1.0, number / plan.kernel.squared_integral(seen))
-    share = {2: math.pi / 4, 3: math.pi / 6}[d] * size**d * count / filled
+    share = _SHARE_OF_CUBE[d] * size**d * count / filled
     return Support(
         grains=grains,
         contacts=max(1.0, grains * partners / 2),
@@ -75,6 +90,14 @@ def support_of(scene: Scene, plan: Plan) -> Support | None:
         slope=_slope(plan.kernel, seen, d, number) * size,
         volume_fraction=share,
     )
+
+
+def _averaged_over(scene: Scene, plan: Plan) -> float:
+    """Return the product of the lengths that are averaged over (m^n); infinity where one is not known."""
+    lengths = [
+        length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()
+    ]
+    return math.prod(lengths)
 
 
 def _extent(scene: Scene, size: float) -> float:
