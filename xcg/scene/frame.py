@@ -221,11 +221,17 @@ def without_frozen(frame: Frame) -> Frame:
 def steps_in(
     arrays: Mapping[str, NDArray], periodic: str, dims: Mapping[str, str] | None = None
 ) -> Iterator[tuple[Frame, Lattice, str]]:
-    """Yield frame, periodic images and name of each step of padded arrays; `dims` as in `frame_of`."""
-    rows = {name: a for name, a in arrays.items() if name not in (*OF_STEP, "time")}
-    for t in range(len(next(iter(rows.values())))):
+    """Yield frame, periodic images and name of each step of padded arrays; `dims` as in `frame_of`.
+
+    Numbers of the steps themselves, such as times, are in the frames, too.
+    """
+    of_step = [name for name, a in arrays.items() if a.ndim == 1 and name not in OF_STEP]
+    rows = {name: a for name, a in arrays.items() if name not in (*OF_STEP, *of_step)}
+    for t in range(len(next(iter(arrays.values())))):
         source = f"frame {t} of its chunk"
         if "step" in arrays:
             source = f"step {arrays['step'][t]}"
         box = {name: arrays[name][t] for name in BOX if name in arrays}
-        yield frame_of(rows, t, source, dims), Lattice.of(box, periodic, source), source
+        frame = frame_of(rows, t, source, dims)
+        frame.update({name: arrays[name][t] for name in of_step})
+        yield frame, Lattice.of(box, periodic, source), source

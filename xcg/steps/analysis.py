@@ -297,26 +297,16 @@ class _Task:
         return self.stack(of_steps, arrays)
 
     def _steps(self, arrays: Mapping[str, NDArray]) -> Iterator[tuple[Any, ...]]:
-        """Yield each step with the others that it is computed with."""
+        """Yield each step with the others that it is computed with, None for one outside the series."""
         own = {name: a for name, a in arrays.items() if "@" not in name}
-        series = [self._series(own)]
+        series: list[Iterable[Step | None]] = [steps_in(own, self.periodic, self.dims)]
         for lag in self.analysis.lags:
             end = f"@{lag}"
             others = {n.removesuffix(end): a for n, a in arrays.items() if n.endswith(end)}
-            series.append(self._series(others))
+            exists = others.pop("exists").tolist()
+            steps = steps_in(others, self.periodic, self.dims)
+            series.append(step if here else None for here, step in zip(exists, steps, strict=True))
         return zip(*series, strict=True)
-
-    def _series(self, arrays: Mapping[str, NDArray]) -> Iterator[Step | None]:
-        """Yield the steps of arrays, or None for a step outside the series."""
-        exists = arrays.get("exists")
-        of_step = {n: a for n, a in arrays.items() if a.ndim == 1 and n not in ("step", "exists")}
-        rows = {n: a for n, a in arrays.items() if n not in of_step and n != "exists"}
-        for t, (frame, lattice, source) in enumerate(steps_in(rows, self.periodic, self.dims)):
-            if exists is not None and not exists[t]:
-                yield None
-                continue
-            frame.update({name: values[t] for name, values in of_step.items()})
-            yield frame, lattice, source
 
     def stack(
         self, of_steps: Iterable[Mapping[str, ArrayLike]], arrays: Mapping[str, NDArray]
