@@ -534,6 +534,17 @@ TABLE = [
     ),
     # --- fields ---
     Mutation(
+        "fields/plan.py", 'if name != "rows"', "if name", "test_plans_leave_their_rows_behind_and_look_them_up_again",
+    ),
+    Mutation(
+        "fields/plan.py", '"other_phase": self.phases', '"other_phase": len(self.groups)',
+        "test_shapes_of_a_plan_are_those_of_its_result",
+    ),
+    Mutation(
+        "fields/formulas/rules.py", "held |= dict.fromkeys(OF_COVARIANCE)", "held |= {}",
+        "test_all_missing_sums_are_named_at_once",
+    ),
+    Mutation(
         "fields/presets/pysammos.py", "2.5 * chosen.cutoff + 0.5 *", "2.5 * chosen.cutoff + 1.0 *",
         "test_the_mesh_equals_that_of_pysammos",
     ),
