@@ -534,6 +534,10 @@ TABLE = [
     ),
     # --- fields ---
     Mutation(
+        "fields/sums/kernels.py", "np.minimum(r, self.cutoff * (1 - 1e-12))", "r",
+        "test_second_moments_of_kernels_and_their_marginals",
+    ),
+    Mutation(
         "fields/plan.py", 'if name != "rows"', "if name", "test_plans_leave_their_rows_behind_and_look_them_up_again",
     ),
     Mutation(

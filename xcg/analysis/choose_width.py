@@ -266,7 +266,8 @@ def _choice(errors: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[st
     noise = noises[leading, best] / math.sqrt(frames)
     total = worst[best]
     # between nodes h apart, linear interpolation is off by h^2 f'' / sqrt(120), f'' = 2 bias / mu_2
-    second_moment = _second_moment(kernel) * fine[best] ** 2
+    second_moment = kernel.second_moment(kernel.dimension or 3)
+    second_moment *= (fine[best] / kernel.width) ** 2
     spacing = math.sqrt(math.sqrt(120) * second_moment * 0.32 * total / (2 * bias))
     spacing = min(spacing, 2 * fine[best])
     target_width = np.where(needed > 0, fine, np.nan)[fewest]
@@ -299,15 +300,6 @@ def _warn_of_the_end(best: int, names: Sequence[str], error: float, width: float
             f"{ENDS[best]}; a {side} one may be better: extend widths= to that side{walls}"
         )
     )
-
-
-def _second_moment(kernel: Kernel) -> float:
-    """Return the second moment of a kernel along one axis, for a width of 1."""
-    q = np.linspace(0.0, 1.0, 4001)
-    dimension = kernel.dimension or 3
-    weight = kernel.value(q * kernel.cutoff) * q ** (dimension - 1)
-    mean_square = float(np.trapezoid(weight * q**2, q) / np.trapezoid(weight, q))
-    return mean_square * (kernel.cutoff / kernel.width) ** 2 / dimension
 
 
 def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:

@@ -126,9 +126,8 @@ def _slope(kernel: Kernel, seen: int, dimension: int, number: float) -> float:
     """
     if not seen:
         return 0.0
-    r, spacing = np.linspace(0.0, kernel.cutoff, 2001, retstep=True)
+    r, psi = kernel.sampled(seen)
     shells = {1: 2.0 * r**2, 2: np.pi * r**3, 3: 4 / 3 * np.pi * r**4}[seen]
-    psi = kernel.value(r, seen)
-    squares = np.trapezoid(psi**2 * shells, dx=spacing)
+    squares = np.trapezoid(psi**2 * shells, dx=r[1])
     components = seen * (dimension + 1 - 2 / dimension)
     return math.sqrt(float(squares) * components / number) / kernel.second_moment(seen)

@@ -83,13 +83,10 @@ def test_kernels_and_marginals_integrate_to_one(name, dimension, seen):
     [("lucy", 3, 1 / 3), ("lucy", 2, 5 / 14), ("heaviside", 3, 1 / 5), ("heaviside", 2, 1 / 4)],
 )
 def test_second_moments_of_kernels_and_their_marginals(name, dimension, share):
-    """A parabola is smeared by half of its curvature times the second moment, which marginals keep.
-
-    The sum over 2000 shells loses half of the last one where a kernel jumps.
-    """
+    """A parabola is smeared by half of its curvature times the second moment, which marginals keep."""
     kernel = kernel_of(name, 0.7, {}, dimension)
     for seen in range(1, dimension + 1):
-        assert kernel.second_moment(seen) == pytest.approx(share * 0.7**2, rel=2e-3)
+        assert kernel.second_moment(seen) == pytest.approx(share * 0.7**2, rel=1e-4)
 
 
 def test_constants_equal_those_of_the_theory_sheet():

@@ -158,17 +158,22 @@ class Kernel:
         """Integral of the square of the kernel, as it is seen in some dimensions (m^-seen)."""
         if not seen:
             return 1.0
-        r, spacing = np.linspace(0.0, self.cutoff, 2001, retstep=True)
+        r, psi = self.sampled(seen)
         shells = {1: 2.0, 2: 2 * np.pi * r, 3: 4 * np.pi * r**2}
-        return float(np.trapezoid(self.value(r, seen) ** 2 * shells[seen], dx=spacing))
+        return float(np.trapezoid(psi**2 * shells[seen], dx=r[1]))
 
     def second_moment(self, seen: int) -> float:
         """Variance of the place of a grain along an axis, as the kernel weighs it in some dimensions (m^2)."""
         if not seen:
             return 0.0
-        r, spacing = np.linspace(0.0, self.cutoff, 2001, retstep=True)
+        r, psi = self.sampled(seen)
         shells = {1: 2.0 * r**2, 2: np.pi * r**3, 3: 4 / 3 * np.pi * r**4}[seen]
-        return float(np.trapezoid(self.value(r, seen) * shells, dx=spacing))
+        return float(np.trapezoid(psi * shells, dx=r[1]))
+
+    def sampled(self, seen: int) -> tuple[NDArray, NDArray]:
+        """Return radii from 0 to the cutoff (2001,), and the kernel there; at the cutoff its value from inside."""
+        r = np.linspace(0.0, self.cutoff, 2001)
+        return r, self.value(np.minimum(r, self.cutoff * (1 - 1e-12)), seen)
 
     def mean_of_cells(self, values: NDArray, places: NDArray, size: float) -> NDArray:
         """Return means of values of cells about places, weighted by the kernel, seen along the axes of the cells.
