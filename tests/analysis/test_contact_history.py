@@ -265,3 +265,19 @@ def test_steps_too_far_apart_for_contacts_are_named(interval):
         return
     with pytest.warns(xcg.SceneWarning, match="100% of the contacts are lost"):
         contacts.cg.contact_history([1])
+
+
+def test_an_interval_in_which_most_contacts_change_is_named():
+    """Forty pairs, of which a tenth changes between steps; between 4 and 5 s 24 of 40 do, as of a lost step."""
+    rng = np.random.default_rng(7)
+    place = np.zeros((10, 80, 3))
+    place[:, :, 0] = 10.0 * (np.arange(80) // 2)
+    is_open = np.zeros(40, bool)
+    for t in range(10):
+        changed = rng.permutation(40)[: 38 if t == 5 else 2]
+        is_open[changed] = ~is_open[changed]
+        place[t, 1::2, 0] += np.where(is_open, 1.2, 0.9)
+    contacts = _scene(place, np.arange(10.0), 1.0).cg.find_contacts()
+    with pytest.warns(xcg.SceneWarning, match=r"are lost from 4 to 5 s, and \d% in the median"):
+        contacts.cg.contact_history([1])
+    contacts.isel(time=slice(5)).cg.contact_history([1])

@@ -341,3 +341,23 @@ def test_a_box_in_a_smaller_unit_than_positions_is_named(periodic):
         xcg.SceneWarning, match="times or more as long as the extent .* units of box"
     ):
         xcg.scene_from_arrays(position, box=[[0, 5000]] * 3, **given)
+
+
+def test_grains_with_an_axis_may_have_larger_volumes_than_spheres_of_their_width():
+    rng = np.random.default_rng(1)
+    director = rng.normal(size=(30, 3))
+    director /= np.linalg.norm(director, axis=1, keepdims=True)
+    rods = {
+        "position": rng.uniform(0, 20, (30, 3)),
+        "director": director,
+        "density": 1000.0,
+        "units": "reduced",
+    }
+    volume = np.pi / 4 * 0.2**2 * 2.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        xcg.scene_from_arrays(**rods, diameter=np.full(30, 0.2), volume=np.full(30, volume))
+    with pytest.warns(xcg.SceneWarning, match="radii in place of diameters"):
+        xcg.scene_from_arrays(
+            **rods, diameter=np.full(30, 0.1), volume=np.full(30, np.pi / 6 * 0.2**3)
+        )

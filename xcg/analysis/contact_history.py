@@ -27,6 +27,8 @@ from xcg.steps.mapping import each_step
 _GAP = 0.01
 # share of contacts lost from step to step above which a warning is given
 _LOST = 0.5
+_JUMP = 2.0  # times the usual losses
+_MANY = 20  # contacts, of which a share is no chance
 
 _ROWS = {
     "contact_age": Variable(("contact",), "s", "time since the first step of the contact"),
@@ -77,7 +79,7 @@ def contact_history(scene: Scene, lags: int | Sequence[int] | None = None) -> xr
     -----
     SceneWarning
         If steps are missing in the series: contacts that break and form again in a gap are not seen;
-        or more than half of the contacts are lost from one step to the next.
+        or more than half of the contacts are lost from one step to the next, of all or of one interval.
 
     Notes
     -----
@@ -144,7 +146,7 @@ def contact_history(scene: Scene, lags: int | Sequence[int] | None = None) -> xr
             if lag <= t:
                 survivors[t - lag, k] = (now.first <= t - lag).sum()
         before = now
-    _warn_of_losses(arrays["losses"], arrays["contact_count"], interval)
+    _warn_of_losses(arrays["losses"], arrays["contact_count"], times, interval)
     call = call_of("contact_history", {"lags": chosen})
     result = label(ds, _ROWS, arrays, call)
     count = arrays["contact_count"]
@@ -174,9 +176,23 @@ def _warn_of_gaps(times: NDArray, interval: float) -> None:
         )
 
 
-def _warn_of_losses(losses: NDArray, count: NDArray, interval: float) -> None:
-    """Warn if most contacts are lost from one step to the next."""
+def _warn_of_losses(losses: NDArray, count: NDArray, times: NDArray, interval: float) -> None:
+    """Warn if most contacts are lost from one step to the next, or in one interval many more than in others."""
     share = losses[1:].sum() / max(1, count[:-1].sum())
+    shares = losses[1:] / np.maximum(count[:-1], 1)
+    jumps = np.flatnonzero((shares > _LOST) & (count[:-1] >= _MANY))
+    usual = float(np.median(shares))
+    is_jump = len(jumps) and shares[jumps].min() > _JUMP * usual and len(shares) > 2 * len(jumps)
+    if share <= _LOST and is_jump:
+        first, last = times[jumps[0] : jumps[0] + 2].tolist()
+        warn_user(
+            SceneWarning(
+                f"contact_history: {shares[jumps[0]]:.0%} of the contacts are lost from {first:g} to {last:g} s, and "
+                f"{usual:.0%} in the median of all intervals: steps are missing there, or ids or the packing changed. "
+                "Ages and lifetimes end there: give the true times (times=), or take the parts before and after it "
+                "by ds.isel(time=slice(...))"
+            )
+        )
     if share > _LOST:
         warn_user(
             SceneWarning(

@@ -23,6 +23,7 @@ from xcg.scene.schema import COMPONENTS, Frame
 
 _CONSIDERABLE = 0.05  # share of the pressure
 _ALIKE = 0.3  # difference of a slope of the velocities from the rate of the box
+_SLACK = 1.2  # of a volume fraction above 1 that one grain is the cause of
 _SURE = 5.0  # standard errors of such a slope
 # Share of a temperature along a period: waves of a homogeneous flow are fluctuations, and vary by half of it.
 _ALONG_PERIOD = 0.6
@@ -170,7 +171,8 @@ class ComputedStep:
         kernel = self.plan.kernel
         alone = largest * float(kernel.value(np.zeros(1), int(grid.active.sum()))[0])
         text = f"the volume fraction is {fraction.max():.3g} at {place}"
-        if alone > 0.5:
+        # around one grain the others fill the space at most
+        if alone > 0.5 and fraction.max() < _SLACK * (1 + alone):
             cause = (
                 f"as the kernel is narrower than the largest grains, one of which alone adds up to {alone:.3g} (by= "
                 "and width={group: width} give each group its own)"
@@ -304,7 +306,7 @@ class ComputedStep:
             largest = int(shares.argmax())
             if shares[largest] > share:
                 share = float(shares[largest])
-                whole = f"the component {2 * COMPONENTS[largest]}"
+                whole = f"the component {2 * COMPONENTS[largest]} of the stress"
         if not share > _CONSIDERABLE:
             return
         hidden = "".join(a for a, part in parts.averaged.items() if part.sum() > 0.3 * added)

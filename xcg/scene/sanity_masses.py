@@ -89,6 +89,10 @@ def _large_volumes(grains: Particles) -> str | None:
     ratio = np.median(volume / (np.pi / 6 * d**3))
     if ratio <= 1 + _DIGITS:
         return None
+    # of grains with an axis, such as rods, the diameter is that across it, unless it is a radius
+    is_oriented = not {"director", "quat_w"}.isdisjoint(grains.frame)
+    if is_oriented and abs(ratio - 8) > 8 * _DIGITS:
+        return None
     return (
         f"volumes are {ratio:.4g} times those of spheres with the diameters (the median; in the first row volume "
         f"{volume[0]:.6g} and diameter {d[0]:.6g}): a column holds radii in place of diameters or has another "
