@@ -261,3 +261,18 @@ def test_overlapping_grains_are_no_fault_of_the_kernel():
     (text,) = said(ds, ["volume_fraction"], about="volume fraction", spacing=1.5)
     assert "grains overlap" in text
     assert "narrower" not in text
+
+
+def test_variances_of_few_grains_say_what_they_lack():
+    """Of independent values with the variance 1: 1 - 1 / N."""
+    ds = truths.gas(4)
+    values = np.random.default_rng(3).normal(size=ds.velocity.shape[:2])
+    ds = ds.assign(charge=(("time", "particle"), values))
+    fields = [xcg.Variance("charge"), xcg.Flux("charge")]
+    (text,) = said(ds, fields, width=1.5, spacing=3.0)
+    lost = int(re.search(r"variance_charge lacks about (\d+) % of it, flux_charge", text)[1])
+    with pytest.warns(xcg.SceneWarning):
+        f = ds.cg.coarse_grain(fields, width=1.5, spacing=3.0)
+    assert float(f.variance_charge.mean()) == pytest.approx(1 - lost / 100, abs=0.03)
+    assert said(ds, fields, axes="z") == []
+    assert said(ds, [xcg.Mean("charge")], spacing=3.0, errors=True) == []

@@ -86,7 +86,9 @@ def _depends_on_support(plan: Plan) -> bool:
     options = plan.options
     rows = [plan.rows[name] for name in plan.requested]
     follows_grains = {*_OF_ONE_VARIANCE, "segregation_flux"}
-    if any(row.floor is not None for row in rows) or follows_grains & {*plan.requested}:
+    if plan.about_means or follows_grains & {*plan.requested}:
+        return True
+    if any(row.floor is not None for row in rows):
         return True
     return any(takes_stress_of_step(row, options) for row in rows)
 

@@ -91,6 +91,7 @@ class ComputedStep:
             effects |= self._lost_stress()
             effects |= self._lost_flux()
             self._warn_of_flow_in_temperatures()
+            self._warn_of_lost_variances()
         if plan.support is not None and (plan.named or effects):
             effects |= self._floors()
         texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
@@ -261,6 +262,23 @@ class ComputedStep:
             "grains"
         )
         return {"lost flux": text}
+
+    def _warn_of_lost_variances(self) -> None:
+        """Warn of variances and fluxes of variables that lack a part, which averages over steps do not give back."""
+        support = self.plan.support
+        assert support is not None
+        lost = {}
+        for field in self.plan.about_means:
+            share = 1 / (support.contacts if field.at_contacts else support.grains)
+            if share > _CONSIDERABLE:
+                lost[field.name] = f"{field.name} lacks about {100 * share:.0f} % of it"
+        if lost:
+            warn_once(
+                "lost variances",
+                f"{self.source}: a node sees only about {support.text()}, so that {', '.join(lost.values())}, in "
+                "averages over steps and nodes, too, as the mean at a node follows these: average along axes (axes=), "
+                f"or increase width= (it is {self.plan.kernel.width:.3g})",
+            )
 
     def _warn_of_flow_in_temperatures(self) -> None:
         """Warn where temperatures hold the variation of the flow along an averaged axis, which no gradient sees."""

@@ -16,6 +16,7 @@ from xcg.compiled.segments import RULES
 from xcg.fields.choice import choose_fields
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options, Support
+from xcg.fields.formulas.variables import OwnField
 from xcg.fields.layout import (
     check_differentiable,
     extents_of,
@@ -178,6 +179,12 @@ class Plan:
     def _numbers(self) -> int:
         """Number of sums at a node."""
         return self.group_count * sum(moment.width for moment in self.moments.values())
+
+    @property
+    def about_means(self) -> list[OwnField]:
+        """Return the requested quantities that are about the mean at a node."""
+        own = [field for field in self.options.own if isinstance(field, OwnField)]
+        return [field for field in own if field.name in self.requested and field.follows_mean]
 
     @cached_property
     def attrs(self) -> dict[str, Any]:

@@ -96,6 +96,11 @@ class OwnField:
     what: str
 
     @property
+    def follows_mean(self) -> bool:
+        """Return whether it is about the mean at the node, which follows the grains there."""
+        return type(self.quantity) in (Variance, Flux)
+
+    @property
     def moments(self) -> dict[str, Moment]:
         """The sums that it needs and that are not in the registry of moments."""
         q = self.quantity.variable
