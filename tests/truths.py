@@ -430,9 +430,11 @@ def contacts(
     )
 
 
-def rods(order: float, steps: int = 16, phi: float = 0.4, side: float = SIDE) -> xr.Dataset:
+def rods(
+    order: float, steps: int = 16, phi: float = 0.4, side: float = SIDE, seed: int = 4
+) -> xr.Dataset:
     """Grains whose director is along z for a share `order` of them, and anywhere for the others."""
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(seed)
     count = round(phi * side**3 * 6 / np.pi)
     n = rng.normal(size=(steps, count, 3))
     n /= np.linalg.norm(n, axis=-1, keepdims=True)

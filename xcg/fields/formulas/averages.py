@@ -254,8 +254,11 @@ def _beside(
         # without coordinates, which are the mean's; an error may be known where the mean is not
         error = blocks.errors[name].variable.where(known)
         error.attrs = {"units": units, "long_name": f"standard error of {name}"}
+        unsure = None
+        if name == "nematic_order" and options.dimension == 3 and count >= MIN_BIAS_BLOCKS:
+            unsure, error = unsure_sign(mean, error, call)
         if name in weights:
-            error = steadiness.checked(name, error, samples.get(f"{name}/bottom"))
+            error = steadiness.checked(name, error, samples.get(f"{name}/bottom"), unsure)
         if row and is_checked_for_noise(f, name, row, count):
             norm = mean[name].variable
             error = with_noise(name, row, norm, blocks.biases[name].variable, error, call)
@@ -263,8 +266,7 @@ def _beside(
             error = with_unsure_angle(name, mean[name].variable, error, call)
         if row and count >= MIN_BIAS_BLOCKS and has_bias(row, options):
             bias = blocks.biases[name].variable.where(known)
-            if name == "nematic_order" and options.dimension == 3:
-                unsure, error = unsure_sign(mean, error, call)
+            if unsure is not None:
                 bias = bias.where(~unsure)
             bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}
             beside[f"{name}_bias"] = bias

@@ -51,15 +51,22 @@ class Steadiness:
             tests += math.prod(sizes[dim] for dim in NOT_NODES if dim in sizes)
         self.chance = CHANCE / max(tests, 1)
 
-    def checked(self, name: str, error: xr.Variable, weight: xr.DataArray | None) -> xr.Variable:
+    def checked(
+        self,
+        name: str,
+        error: xr.Variable,
+        weight: xr.DataArray | None,
+        unsure: xr.Variable | None = None,
+    ) -> xr.Variable:
         """Return an error with the shares of nodes that drift or have no plateau; lazy ones warn when computed.
 
-        `weight` is that of each sample in the mean; None for what is no ratio of two sums.
+        `weight` is that of each sample in the mean; None for what is no ratio of two sums. Nodes that
+        are `unsure` are left out, as the sign of their blocks changes.
         """
         zero = xr.zeros_like(self.repeated)
         drift, growth, few, effective = zero, zero, zero, zero
         if self.blocks.drifts is not None:
-            drift, growth_if_known = self._shares(name)
+            drift, growth_if_known = self._shares(name, unsure)
             if error.chunks is None:
                 error.attrs[SHARES[0]] = float(drift)
                 if growth_if_known is not None:
@@ -79,13 +86,18 @@ class Steadiness:
         error.attrs = attrs
         return error
 
-    def _shares(self, name: str) -> tuple[xr.DataArray, xr.DataArray | None]:
+    def _shares(
+        self, name: str, unsure: xr.Variable | None
+    ) -> tuple[xr.DataArray, xr.DataArray | None]:
         """Return the shares of nodes with a drift and, without it, with an error that still grows."""
         from scipy.special import betainc  # slow to import
 
         assert self.blocks.drifts is not None
         count = self.blocks.number
-        t = self.blocks.drifts[name]
+        sure: Any = True
+        if unsure is not None:
+            sure = ~xr.DataArray(unsure)
+        t = self.blocks.drifts[name].where(sure)
         # the two-sided t test
         unexplained = (count - 2) / (count - 2 + t**2)
         of_drift = _by_elements(betainc, count / 2 - 1, 0.5, unexplained)
@@ -94,7 +106,7 @@ class Steadiness:
         if self.blocks.growths is None:
             return share_of_drifts, None
         # the variance of n long blocks is one of 2 n - 1 squares of their halves, in steady series
-        growth = self.blocks.growths[name]
+        growth = self.blocks.growths[name].where(sure)
         of_long = (growth**2 * (count - 1) / (2 * count - 1)).clip(0.0, 1.0)
         of_growth = _by_elements(betainc, count / 2, (count - 1) / 2, 1.0 - of_long)
         grows = (of_growth < self.chance) & ~drifts
