@@ -7,7 +7,7 @@ import pytest
 
 import xcg
 from tests.architecture import PACKAGE, nodes_of_package
-from xcg.fields.choice import options_of
+from xcg.fields.choice import requested_options
 from xcg.fields.formulas.tracing import program_for
 from xcg.fields.request import Request
 from xcg.scene.scene import Scene
@@ -41,7 +41,7 @@ def test_options_equal_themselves_in_another_process(size):
     ds = xcg.datasets.simple_cubic(3)
     if size == "d43":
         ds = ds.drop_vars("diameter").drop_attrs(deep=False).assign_attrs(periodic="xyz")
-    options = options_of(Scene(ds), Request(size=size))
+    options = requested_options(Scene(ds), Request(size=size))
     assert (options.diameter is None) == (size == "d43")
     again = pickle.loads(pickle.dumps(options))
     assert again == options

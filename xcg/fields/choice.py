@@ -46,7 +46,7 @@ def choose_fields(scene: Scene, request: Request) -> ChosenFields:
         raise ValueError(
             "by_pair=True splits stress by pairs of phases: name their variable, such as by='species'"
         )
-    options = options_of(scene, request)
+    options = requested_options(scene, request)
     names, own = _named(request.fields, scene, options)
     if own and scene.cylindrical:
         check_turns(own)
@@ -90,7 +90,7 @@ def _refuse(scene: Scene, names: Sequence[str], needed: Set[str], options: Optio
 
 def possible_fields(scene: Scene, request: Request) -> tuple[str, ...]:
     """Return the names of the fields that the scene's variables allow: the fields of a request without names."""
-    return _possible(scene, options_of(scene, request))
+    return _possible(scene, requested_options(scene, request))
 
 
 def _possible(scene: Scene, options: Options) -> tuple[str, ...]:
@@ -232,7 +232,7 @@ def _read_by(moments: Mapping[str, Moment], here: Set[str]) -> set[str]:
     return needed
 
 
-def options_of(scene: Scene, request: Request) -> Options:
+def requested_options(scene: Scene, request: Request) -> Options:
     """Return the options of the algebra; raise ValueError if one is wrong."""
     setup = scene.setup
     size = request.size
