@@ -733,6 +733,10 @@ TABLE = [
         "test_waves_are_sums_of_exponentials",
     ),
     Mutation(
+        "readers/files/table.py", "_MARGIN * end / share", "_MARGIN * end",
+        "test_memory_for_equal_rows_is_set_aside_once",
+    ),
+    Mutation(
         "analysis/structure_factor.py", "half = plane if h else plane[len(plane) // 2 + 1 :]", "half = plane",
         "test_the_isotropic_one_is_the_mean_over_all_vectors",
     ),

@@ -25,3 +25,14 @@ def test_arrays_are_writable_and_own_their_memory(rows, dtype):
 def test_arrays_over_bytes_of_others_are_views():
     assert memory.owns_memory(np.zeros(3))
     assert not memory.owns_memory(np.frombuffer(bytes(24)))
+
+
+@pytest.mark.parametrize("rows", [10, 1_000_000])
+def test_first_rows_own_the_memory_of_the_whole(rows):
+    array = memory.empty((rows, 3))
+    array[:] = np.arange(rows)[:, None]
+    for count in (0, rows - 3, rows):
+        first = memory.first_rows(array, count)
+        np.testing.assert_array_equal(first, array[:count])
+        assert memory.owns_memory(first)
+        assert not array.nbytes >= 1 << 20 or count == 0 or np.shares_memory(first, array)

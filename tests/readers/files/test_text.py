@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.dumps import ATOMS, dump_text, write
+from xcg.common import memory
 from xcg.common.messages import SceneError, SceneWarning
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.lammps import Lammps
@@ -43,6 +44,31 @@ def test_white_space_and_pieces_of_text_change_no_bit(rows, end):
             pieces = [changed[at : at + size] for at in range(0, len(changed), size)]
             table = parse_table(pieces, COLUMNS, COLUMNS, len(rows), "file")
             assert b"".join(table[name].tobytes() for name in COLUMNS) == expected
+
+
+@pytest.mark.parametrize("digits", [(6, 6), (6, 15), (15, 6)])
+@pytest.mark.parametrize("length_is_known", [True, False])
+def test_rows_may_become_shorter_and_longer(digits, length_is_known):
+    values = np.random.default_rng(0).uniform(1, 2, (60_000, 3))
+    lines = [
+        " ".join(f"{number:.{digits[k >= 30_000]}f}" for number in row) + "\n"
+        for k, row in enumerate(values)
+    ]
+    body = "".join(lines).encode()
+    pieces = [body[at : at + 100_000] for at in range(0, len(body), 100_000)]
+    length = len(body) if length_is_known else 0
+    table = parse_table(pieces, COLUMNS, COLUMNS, None, "file", vectors=[("a", "b")], length=length)
+    expected = np.array([line.split() for line in lines], float)
+    np.testing.assert_array_equal(table["c"], expected[:, 2])
+    np.testing.assert_array_equal(table["a", "b"], expected[:, :2])
+
+
+def test_memory_for_equal_rows_is_set_aside_once(monkeypatch):
+    made = []
+    empty = memory.empty
+    monkeypatch.setattr(memory, "empty", lambda shape: made.append(shape) or empty(shape))
+    parse_table(b"1.5 2.5 3.5\n" * 200_000, COLUMNS, COLUMNS, None, "file")
+    assert [np.prod(shape) > 0 for shape in made] == [False] * 3 + [True] * 3
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,13 +171,16 @@ class Mercury(Columnar):
         Between particles n points from j to i and the force on i is ``fn n + ft t``; at walls n and
         t point the other way.
         """
-        rows = read_table(ref, _CONTACT[1:], None, options)
-        keep = _once(rows["i"], rows["j"])
-        rows = {name: values[keep] for name, values in rows.items()}
-        sign = np.where(rows["j"] < 0, -1.0, 1.0)[:, None]
-        normal, tangent, point = (
-            np.stack([rows[f"{letter}{axis}"] for axis in COMPONENTS], axis=1) for letter in "ntc"
+        vectors = tuple(tuple(f"{letter}{axis}" for axis in COMPONENTS) for letter in "ntc")
+        rows: dict[Any, NDArray] = read_table(
+            ref, _CONTACT[1:], None, replace(options, vectors=vectors)
         )
+        keep = _once(rows["i"], rows["j"])
+        if not keep.all():
+            names: tuple[Any, ...] = ("i", "j", "fn", "ft", "delta", *vectors)
+            rows = {name: rows[name][keep] for name in names}
+        sign = np.where(rows["j"] < 0, -1.0, 1.0)[:, None]
+        normal, tangent, point = (rows[vector] for vector in vectors)
         return {
             "contact_i": rows["i"],
             "contact_j": rows["j"],

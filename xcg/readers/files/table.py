@@ -70,6 +70,7 @@ def read_table(
         threads,
         options.vectors,
         separator,
+        ref.length,
     )
 
 
@@ -82,6 +83,7 @@ def parse_table(
     threads: int = 1,
     vectors: Iterable[tuple[str, ...]] = (),
     separator: str = " ",
+    length: int = 0,
 ) -> Columns:
     """Parse the wanted columns of a table of numbers.
 
@@ -103,6 +105,8 @@ def parse_table(
         Wanted columns that are the components of a vector.
     separator : str
         What stands between numbers besides white space.
+    length : int
+        Bytes of a body that comes in pieces, 0 where it is not known: sets memory aside.
 
     Returns
     -------
@@ -119,9 +123,11 @@ def parse_table(
     places = np.array([columns.index(column) for column in wanted], np.int64)
     if isinstance(body, bytes):
         text = body
+        length = len(text)
         body = (text[at : at + PIECE] for at in range(0, len(text), PIECE))
     table = _ColumnBuffer(wanted, vectors, rows or 0)
     filled = 0
+    parsed = 0  # bytes
     parse = partial(_parse, len(columns), places, separator.encode())
     results = _in_order(whole_lines(body, name), parse, threads)
     for block, (numbers, whole) in results:
@@ -137,7 +143,8 @@ def parse_table(
             raise SceneError(
                 f"{name}: row {end} {_fault(line, columns, wanted, last=last, separator=separator, source=name)}"
             )
-        table.write(filled, numbers)
+        parsed += len(block) - BEYOND
+        table.write(filled, numbers, parsed / (length or np.inf))
         filled = end
     if rows is not None and filled < rows:
         raise SceneError(
@@ -145,6 +152,11 @@ def parse_table(
             "write the file anew, or leave the step out"
         )
     return table.columns(filled)
+
+
+# Rows set aside over those that the bytes of the first block lead to expect, as later rows may be
+# shorter. Memory that is not written is not taken.
+_MARGIN = 1.05
 
 
 class _ColumnBuffer:
@@ -159,11 +171,24 @@ class _ColumnBuffer:
         self._columns = {column: memory.empty(rows) for column in alone}
         self._rows = rows
 
-    def write(self, first: int, numbers: NDArray) -> None:
-        """Write a block (wanted, n) from a row on, behind the rows that were written before."""
+    def write(self, first: int, numbers: NDArray, share: float) -> None:
+        """Write a block (wanted, n) behind the rows before it.
+
+        Parameters
+        ----------
+        first : int
+            Row that it begins with.
+        share : float
+            Part of the body that ends with it, 0 where this is not known.
+        """
         end = first + numbers.shape[1]
-        if end > self._rows:  # it doubles, as copying it for each block would take most of the time
-            self._resize(first, self._rows + end)
+        if end > self._rows:
+            # it doubles at least where rows are not as long as expected, as copying it for each
+            # block would take most of the time
+            rows = end + self._rows
+            if 0 < share <= 1:
+                rows = max(rows, int(_MARGIN * end / share))
+            self._resize(first, rows)
         for column, array in self._columns.items():
             array[first:end] = numbers[self._places[column]]
         for vector, array in self._vectors.items():
@@ -172,8 +197,10 @@ class _ColumnBuffer:
 
     def columns(self, filled: int) -> Columns:
         """Return the columns by name and the vectors by their tuples, without rows that were not filled."""
-        if filled < self._rows:
-            self._resize(filled, filled)
+        kinds: tuple[dict[Any, NDArray], ...] = (self._columns, self._vectors)
+        for arrays in kinds:
+            for name, array in arrays.items():
+                arrays[name] = memory.first_rows(array, filled)
         components = {
             column: array[:, k]
             for vector, array in self._vectors.items()
