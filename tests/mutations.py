@@ -350,6 +350,10 @@ TABLE = [
         "test_steps_that_are_written_again_are_counted",
     ),
     Mutation(
+        "fields/pressures.py", "np.diff(means, axis=0) * _SLICES / extent", "np.diff(means, axis=0) / extent",
+        "test_a_jet_is_no_fluctuation",
+    ),
+    Mutation(
         "fields/computed_step.py", "slope = float(x @ v) / squares", "slope = float(x @ v)",
         "test_a_compressed_box_holds_the_flow_of_its_images",
     ),

@@ -276,3 +276,23 @@ def test_variances_of_few_grains_say_what_they_lack():
     assert float(f.variance_charge.mean()) == pytest.approx(1 - lost / 100, abs=0.03)
     assert said(ds, fields, axes="z") == []
     assert said(ds, [xcg.Mean("charge")], spacing=3.0, errors=True) == []
+
+
+@pytest.mark.parametrize(("axes", "share"), [("", 0.94), ("z", 0.8)])
+def test_a_jet_is_no_fluctuation(axes, share):
+    """V_x = 1 in a third of the height, T = 0.01: the mean of kinetic_stress xx is 23 and 5 times the true one.
+
+    Slopes between slices are a lower estimate of a jump's.
+    """
+    rng = np.random.default_rng(1)
+    position = rng.uniform(0, 12, (700, 3))
+    velocity = 0.1 * rng.normal(size=position.shape)
+    still = {"diameter": np.ones(700), "density": 1.0, "box": [[0, 12]] * 3, "periodic": "xyz"}
+    jet = velocity.copy()
+    jet[:, 0] += (position[:, 2] > 4) & (position[:, 2] < 8)
+    ds = xcg.scene_from_arrays(position, velocity=jet, **still)
+    (text,) = said(ds, "kinetic_stress", axes=axes, about="no fluctuation")
+    named = float(re.search(r"about (\d+) %", text)[1]) / 100
+    assert share - 0.12 < named < share + 0.02
+    ds = xcg.scene_from_arrays(position, velocity=velocity, **still)
+    assert said(ds, "kinetic_stress", axes=axes, about="no fluctuation") == []

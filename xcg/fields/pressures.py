@@ -14,6 +14,8 @@ from xcg.scene.frame import rows_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame
 
+_SLICES = 12  # along an axis
+_HELD = 0.3  # share of the squared velocities that means of slices hold, of a flow that is no smooth one
 _SAMPLED = 2_000  # grains and contacts of a step from which its pressures are estimated
 
 
@@ -103,8 +105,9 @@ def variation_of_flow(
 ) -> tuple[NDArray, NDArray, dict[str, NDArray]]:
     """Return the flow at the grains, and ``sum m (V_k - <V_k>)^2`` within supports and along averaged axes.
 
-    The flow is a sum of cubic polynomials along each axis. Of each part of V the noise of the fit
-    is subtracted, from the squares and the squared derivatives of Legendre polynomials.
+    The flow is a sum of cubic polynomials along each axis, and of means in slices where these hold
+    much of what is left, as of jets and jumps. Of each part of V the noise of the fit is subtracted,
+    from the squares and the squared derivatives of Legendre polynomials.
     """
     nodes = plan.nodes
     position = frame["position"]
@@ -143,7 +146,37 @@ def variation_of_flow(
         else:
             along -= along.mean(axis=0)
             averaged[COMPONENTS[k]] = _beyond(mass @ along**2, 3 * noise)
+    for k in plan.options.plane:
+        part, of_slopes = _in_slices(frame["position"][:, k], velocity - flow, mass, noise)
+        flow = flow + part
+        if COMPONENTS[k] in nodes.seen:
+            smeared += variance * of_slopes
+        else:
+            averaged[COMPONENTS[k]] = averaged[COMPONENTS[k]] + mass @ part**2
     return flow + of_box, smeared, averaged
+
+
+def _in_slices(
+    x: NDArray, velocity: NDArray, mass: NDArray, noise: NDArray
+) -> tuple[NDArray, NDArray]:
+    """Return mean velocities (n, 3) of the slices that grains are in, and the sum of m times their squared slopes.
+
+    Zero in components of which the means hold little, so that waves of a gas stay fluctuations.
+    """
+    extent = float(np.ptp(x))
+    if not extent > 0:
+        return np.zeros_like(velocity), np.zeros(3)
+    row = np.minimum((_SLICES * (x - x.min()) / extent).astype(int), _SLICES - 1)
+    total = np.bincount(row, mass, _SLICES)
+    sums = np.stack([np.bincount(row, mass * v, _SLICES) for v in velocity.T], axis=1)
+    means = sums / np.where(total > 0, total, 1.0)[:, None]
+    of_means = total @ means**2
+    scatter = (_SLICES + 6 * np.sqrt(2 * _SLICES)) * noise
+    holds = of_means > np.maximum(_HELD * (mass @ velocity**2), scatter)
+    means = np.where(holds, means, 0.0)
+    slopes = np.diff(means, axis=0) * _SLICES / extent
+    weights = (total[1:] + total[:-1]) / 2
+    return means[row], weights @ slopes**2
 
 
 def _beyond(total: NDArray, noise: NDArray) -> NDArray:
