@@ -197,6 +197,22 @@ def test_scripts_import_names_of_the_package_that_exist(script):
                     importlib.import_module(f"{node.module}.{alias.name}")
 
 
+def test_words_of_warnings_on_their_page_are_those_of_the_package():
+    """Words in italics in the table of warnings are parts of the messages."""
+    page = (ROOT / "docs" / "scale.md").read_text()
+    rows = page.split("\n## Warnings\n")[1].split("\n## ")[0]
+    observations = [line.split("|")[1] for line in rows.splitlines() if line.startswith("| ")]
+    phrases = re.findall(r"\*([^*]+)\*", " ".join(observations))
+    assert len(phrases) > 10
+    texts = []
+    for path in (ROOT / "xcg").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                texts.append(node.value)
+    known = "\n".join(texts)
+    assert [phrase for phrase in phrases if phrase not in known] == []
+
+
 def test_first_steps_list_every_extra():
     import tomllib
 
