@@ -261,7 +261,7 @@ class Gaussian(Kernel):
         Half-width w (m), its standard deviation before it is cut.
     cutoff : float, optional
         Radius c of the support (m), 3 w by default and 6 w at most. Above 3 w the first use of a
-        cutoff in a process takes about a second for its tables.
+        cutoff in a process takes up to half a second for its tables.
     dimension : int, optional
         The number of dimensions in which it integrates to 1; by default that of the scene.
     shifted : bool
