@@ -359,7 +359,7 @@ TABLE = [
     ),
     Mutation(
         "fields/formulas/mean_sums.py", 'sums["velocity/shift"] - weight * mean', 'sums["velocity/shift"]',
-        "test_the_flux_of_a_phase_in_an_average_is_relative_to_the_averaged_velocity_of_the_bulk",
+        "test_errors_of_the_flux_of_a_phase_are_those_of_averages_without_each_step",
     ),
     Mutation(
         "fields/formulas/mean_sums.py", "(of_bulk - mean).where", "of_bulk.where",

@@ -768,6 +768,21 @@ def test_the_flux_of_a_phase_in_an_average_is_relative_to_the_averaged_velocity_
         )
 
 
+def test_errors_of_the_flux_of_a_phase_are_those_of_averages_without_each_step():
+    names = ["segregation_flux", "momentum_density", "density"]
+    f = truths.segregating(5).cg.coarse_grain(names, by="species", axes="z", spacing=2.0)
+    fluxes = []
+    for t in range(5):
+        sums = f.isel(time=[k for k in range(5) if k != t]).mean("time")
+        velocity = sums.momentum_density / sums.density
+        fluxes.append(sums.density * (velocity - velocity.sel(phase="bulk", drop=True)))
+    error = xr.concat(fluxes, "step").std("step") * 2
+    mean = f.cg.time_average()
+    np.testing.assert_allclose(
+        mean.segregation_flux_error, error.transpose(*mean.segregation_flux.dims), atol=1e-14
+    )
+
+
 def test_the_flux_of_segregating_phases_is_true_in_averages_and_said_to_be_small_in_a_step():
     ds = truths.segregating()
     options = {"by": "species", "spacing": 3.0}
