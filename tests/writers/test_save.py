@@ -398,7 +398,7 @@ def test_chunks_of_long_series_equal_those_of_the_file(tmp_path, monkeypatch):
     assert xcg.open_scene(saved).chunks["time"] == (2, 2, 2, 1)
     monkeypatch.setattr(
         "xcg.readers.lazy._TASK",
-        3 * 1e-6 * sum(xcg.open_scene(saved).sizes[d] for d in ("particle", "contact")),
+        2.5e-6 * sum(xcg.open_scene(saved).sizes[d] for d in ("particle", "contact")),
     )
     assert xcg.open_scene(saved).chunks["time"] == (4, 3)
 

@@ -98,7 +98,7 @@ def steps_in_a_task(count: int, rows: float, held: int, seconds: float = 0.0) ->
     rows, held, seconds
         Rows and bytes in memory of a step, and the time to read it.
     """
-    steps = math.ceil(_TASK / max(seconds + rows * _ROW, 1e-9))
+    steps = max(1, math.ceil(_TASK / max(seconds + rows * _ROW, 1e-9)))
     limit = parse_bytes(dask.config.get("array.chunk-size")) // max(held, 1)
     tasks = max(1, count // steps)
     return max(1, min(math.ceil(count / tasks), limit))
