@@ -202,7 +202,7 @@ Interactions 0
 LAMMPS = """\
 units        lj
 atom_style   sphere
-boundary     f f f
+boundary     p p p
 region       box block {box}
 create_box   2 box
 pair_style   zero 1.0
@@ -260,7 +260,7 @@ def write(folder: Path, particles: int) -> None:
 
     at = folder / "lammps"
     text, _ = dump_texts(ds, 0)
-    (at / "p.0.dump").write_text(text.replace("pp pp pp", "ff ff ff"))
+    (at / "p.0.dump").write_text(text)
     edges = [f"{a:.10g} {b:.10g}" for a, b in zip(low, high, strict=True)]
     size = (high[2] - low[2]) / NODES
     (at / "in.rerun").write_text(LAMMPS.format(low=low, high=high, box=" ".join(edges), size=size))
@@ -379,7 +379,7 @@ def mercury(folder: Path) -> tuple[Callable[[], xr.Dataset], Callable[[xr.Datase
 
 
 def lammps(folder: Path) -> tuple[Callable[[], xr.Dataset], Callable[[xr.Dataset], Pairs]]:
-    """From the dump to a profile, which is smooth here and of bins there: their means are the same."""
+    """From the dump of a periodic box to a profile, smooth here and of bins there: their means are the same."""
 
     def job() -> xr.Dataset:
         ds = xcg.open_scene(folder / "p.0.dump", units="reduced")

@@ -13,18 +13,23 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["mercury", "lammps"])
-def test_profiles_from_files_are_those_of_the_packing(folder, name):
-    prepare = getattr(side_by_side, name)
-    job, _ = prepare(folder / name)
-    names = ["density", "contact_stress"] if name == "mercury" else ["velocity"]
-    kernel = {"kernel": side_by_side.GAUSSIAN} if name == "mercury" else {"width": 0.75}
-    here = side_by_side.profile(side_by_side.packing_of(folder), names, folder, **kernel)
+def test_the_profile_from_files_is_that_of_the_packing(folder):
+    names = ["density", "contact_stress"]
+    job, _ = side_by_side.mercury(folder / "mercury")
+    ds = side_by_side.packing_of(folder)
+    here = side_by_side.profile(ds, names, folder, kernel=side_by_side.GAUSSIAN)
     f = job()
-    for field in names:
-        np.testing.assert_allclose(
-            f[field], here[field], rtol=1e-4, atol=1e-4 * abs(here[field]).max()
-        )
+    for name in names:
+        atol = 1e-4 * abs(here[name]).max()
+        np.testing.assert_allclose(f[name], here[name], rtol=1e-4, atol=atol)
+
+
+def test_the_mean_of_the_profile_of_a_periodic_dump_is_that_of_the_grains(folder):
+    job, _ = side_by_side.lammps(folder / "lammps")
+    f = job()
+    ds = side_by_side.packing_of(folder)
+    mean = ds.velocity.weighted(ds.mass).mean("particle")
+    np.testing.assert_allclose(f.velocity.weighted(f.density).mean("z"), mean, atol=1e-5)
 
 
 def test_points_and_the_mesh_of_pysammos_are_in_the_box(folder):
