@@ -78,11 +78,7 @@ def label(
     labels |= {dim: (dim, values) for dim, values in AXES.items() if dim in used - labels.keys()}
     result = storable(xr.Dataset(data, labels))
     result.attrs = provenance(ds, call) | attrs
-    if SKIPPED in labels:
-        result = name_skipped(result)
-    if not result.sizes.keys().isdisjoint(PHASES):
-        result = with_phase_labels(result)
-    return result
+    return name_skipped(with_phase_labels(result))
 
 
 def annotated(dims: str | Sequence[str], values: Any, units: str, long_name: str) -> xr.Variable:
