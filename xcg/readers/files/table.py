@@ -197,10 +197,7 @@ class _ColumnBuffer:
 
     def columns(self, filled: int) -> Columns:
         """Return the columns by name and the vectors by their tuples, without rows that were not filled."""
-        kinds: tuple[dict[Any, NDArray], ...] = (self._columns, self._vectors)
-        for arrays in kinds:
-            for name, array in arrays.items():
-                arrays[name] = memory.first_rows(array, filled)
+        self._replace(partial(memory.first_rows, rows=filled))
         components = {
             column: array[:, k]
             for vector, array in self._vectors.items()
@@ -209,14 +206,22 @@ class _ColumnBuffer:
         return {**self._columns, **components, **self._vectors}
 
     def _resize(self, filled: int, rows: int) -> None:
-        """Copy the filled rows to arrays of another length, one array after the other."""
+        """Copy the filled rows to arrays of another length."""
+
+        def resized(array: NDArray) -> NDArray:
+            longer = memory.empty((rows, *array.shape[1:]))
+            longer[:filled] = array[:filled]
+            return longer
+
+        self._replace(resized)
+        self._rows = rows
+
+    def _replace(self, change: Callable[[NDArray], NDArray]) -> None:
+        """Change the arrays one after the other, so that memory holds one more at most."""
         kinds: tuple[dict[Any, NDArray], ...] = (self._columns, self._vectors)
         for arrays in kinds:
             for name, array in arrays.items():
-                resized = memory.empty((rows, *array.shape[1:]))
-                resized[:filled] = array[:filled]
-                arrays[name] = resized
-        self._rows = rows
+                arrays[name] = change(array)
 
 
 def _in_order(
