@@ -179,11 +179,20 @@ def _warn_of_gaps(times: NDArray, interval: float) -> None:
 def _warn_of_losses(losses: NDArray, count: NDArray, times: NDArray, interval: float) -> None:
     """Warn if most contacts are lost from one step to the next, or in one interval many more than in others."""
     share = losses[1:].sum() / max(1, count[:-1].sum())
+    if share > _LOST:
+        warn_user(
+            SceneWarning(
+                f"contact_history: {share:.0%} of the contacts are lost from one step to the next: they last "
+                f"{1 / share:.2g} intervals ({interval:g} s) or less, and those that begin and end between two "
+                "steps are not seen. Write steps more often"
+            )
+        )
+        return
     shares = losses[1:] / np.maximum(count[:-1], 1)
     jumps = np.flatnonzero((shares > _LOST) & (count[:-1] >= _MANY))
     usual = float(np.median(shares))
-    is_jump = len(jumps) and shares[jumps].min() > _JUMP * usual and len(shares) > 2 * len(jumps)
-    if share <= _LOST and is_jump:
+    are_rare = 0 < 2 * len(jumps) < len(shares)
+    if are_rare and shares[jumps].min() > _JUMP * usual:
         first, last = times[jumps[0] : jumps[0] + 2].tolist()
         warn_user(
             SceneWarning(
@@ -191,14 +200,6 @@ def _warn_of_losses(losses: NDArray, count: NDArray, times: NDArray, interval: f
                 f"{usual:.0%} in the median of all intervals: steps are missing there, or ids or the packing changed. "
                 "Ages and lifetimes end there: give the true times (times=), or take the parts before and after it "
                 "by ds.isel(time=slice(...))"
-            )
-        )
-    if share > _LOST:
-        warn_user(
-            SceneWarning(
-                f"contact_history: {share:.0%} of the contacts are lost from one step to the next: they last "
-                f"{1 / share:.2g} intervals ({interval:g} s) or less, and those that begin and end between two "
-                "steps are not seen. Write steps more often"
             )
         )
 
