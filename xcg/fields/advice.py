@@ -63,7 +63,7 @@ def advise_on_steps(scene: Scene, plan: Plan, *, named: bool) -> None:
 def _stretch_of(scene: Scene) -> NDArray | None:
     """Return the least and largest rates (3, 2) of a periodic box whose length changes; None where none do.
 
-    Images that move are those of a box whose rates were given.
+    None as well where the rates were given, as images move with such a box.
     """
     ds = scene.ds
     box = scene.columns.get("box")

@@ -153,7 +153,7 @@ def _compute(
 def _in_names_of_xcg(
     scene: Scene, request: Request
 ) -> tuple[Scene, Request, Callable[[xr.Dataset], xr.Dataset]]:
-    """Return a scene with a request in names of xcg, and what turns its result into those of its preset."""
+    """Return scene and request in names of xcg, and the function that renames the result for the preset."""
     if request.preset is None:
         return scene, request, lambda result: result
     return scene, *PRESETS[request.preset](scene, request)

@@ -59,7 +59,7 @@ def _rings_of(
     spacing: Any,
     automatic: Mapping[str, Sequence[float]],
 ) -> Nodes:
-    """Lay the nodes of a cylinder; arguments as those of `make_rings`."""
+    """Lay the nodes of a cylinder, see `make_rings`."""
     assert isinstance(request.frame, Cylindrical)
     if request.gradient == "finite_difference":
         raise ValueError(

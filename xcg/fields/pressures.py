@@ -106,7 +106,7 @@ def variation_of_flow(
     """Return the flow at the grains, and ``sum m (V_k - <V_k>)^2`` within supports and along averaged axes.
 
     The flow is a sum of cubic polynomials along each axis, and of means in slices where these hold
-    much of what is left, as of jets and jumps. Of each part of V the noise of the fit is subtracted,
+    much of the rest, as in jets and jumps. Of each part of V the noise of the fit is subtracted,
     from the squares and the squared derivatives of Legendre polynomials.
     """
     nodes = plan.nodes

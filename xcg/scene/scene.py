@@ -34,7 +34,7 @@ class Scene:
     Attributes
     ----------
     columns : dict of xarray.Variable
-        Variables by name, those of `made` among them.
+        Variables by name, with those in `made`.
     tilted : bool
         Whether the edges of the box are not along x, y and z.
     cylindrical : bool
@@ -139,7 +139,7 @@ class Scene:
 
     @cached_property
     def _lasting(self) -> NDArray:
-        """Whether the box is the same in all steps, along each axis (3,).
+        """Return True along each axis (3,) where the box is the same in all steps.
 
         A lazy box is not read, as attributes hold a box that lasts.
         """

@@ -1,4 +1,4 @@
-"""Floors: values of norms and eigenvalues in a step of an isotropic state, and of angles, where the true value is zero.
+"""Floors: values that norms, eigenvalues and angles have in a step of few grains where the true value is zero.
 
 Of N independent directions n the deviator of <n n> has the mean square (1 - 1 / D) / N, and its
 components (5 in space, 2 in a plane) are normally distributed for large N. Grains of a gas carry

@@ -25,7 +25,7 @@ def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ..
 
 
 def lacking_sums(rows: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
-    """Return the fields that averages of each field of a result lack, each named once; None stands for no row."""
+    """Return the fields that averages of each field of a result lack, each named once; a row may be None."""
     held = dict.fromkeys(rows)
     lacking: dict[str, list[str]] = {}
     for name, row in rows.items():

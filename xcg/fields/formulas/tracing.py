@@ -138,7 +138,7 @@ def _fixed_registers(
 ) -> tuple[dict[int, int], dict[int, float], int]:
     """Return the registers that are never reused, the constants by register, and the next register.
 
-    They are those of constants, and of what a fit takes and finds, side by side.
+    Constants have such registers, and inputs and results of a fit, side by side.
     """
     register: dict[int, int] = {}
     constants: dict[int, float] = {}
