@@ -34,6 +34,7 @@ from tests.benchmarks.series import (
     CONTACT_ARRAYS,
     PARTICLE_ARRAYS,
     dump_texts,
+    fstat_text,
     write_vtp,
 )
 
@@ -252,7 +253,7 @@ def write(folder: Path, particles: int) -> None:
     rows = np.column_stack(columns)
     head = f"{particles} 0.01 " + " ".join(map(repr, [*low, *high]))
     np.savetxt(at / "packing.data", rows, "%.17g", header=head, comments="")
-    write_fstat(at / "packing.fstat", one)
+    (at / "packing.fstat").write_text(fstat_text(ds))
     density = float(ds.density[0, 0])
     (at / "packing.restart").write_text(RESTART.format(low=low, high=high, density=density))
 
@@ -265,28 +266,6 @@ def write(folder: Path, particles: int) -> None:
     size = (high[2] - low[2]) / NODES
     (at / "in.rerun").write_text(LAMMPS.format(low=low, high=high, box=" ".join(edges), size=size))
     (at / "job.py").write_text(PROGRAM.format(arguments=["-in", "in.rerun"]))
-
-
-def write_fstat(path: Path, one: dict[str, NDArray]) -> None:
-    """Write the contacts of MercuryDPM, each from both sides: normals to the first grain, and parts of the force."""
-    i, j = one["contact_i"], one["contact_j"]  # ids are rows
-    branch = one["position"][i] - one["position"][j]
-    distance = np.linalg.norm(branch, axis=1, keepdims=True)
-    normal = branch / distance
-    pressing = (one["contact_force"] * normal).sum(axis=1, keepdims=True)
-    rest = one["contact_force"] - pressing * normal
-    sliding = np.linalg.norm(rest, axis=1, keepdims=True)
-    radii = (one["diameter"][i] + one["diameter"][j])[:, None] / 2
-    nothing = np.zeros_like(distance)
-    tangent = rest / np.maximum(sliding, 1e-300)
-    shared = [one["contact_point"], radii - distance, nothing, pressing, sliding]
-    sides = [
-        np.column_stack([nothing + 0.01, *ids, *shared, sign * normal, sign * tangent])
-        for ids, sign in [((i, j), 1), ((j, i), -1)]
-    ]
-    table = np.stack(sides, axis=1).reshape(-1, sides[0].shape[1])
-    form = ["%.17g", "%d", "%d", *["%.17g"] * 13]
-    np.savetxt(path, table, form, header="0.01 1\n0 0 0 4 4 2\n0.25 0.5 0 0 0 0")
 
 
 def points(ds: xr.Dataset) -> NDArray:

@@ -191,15 +191,28 @@ def write_gzipped_dumps(folder: str | Path, particles: int, steps: int) -> dict[
 
 
 def fstat_text(ds: xr.Dataset) -> str:
-    """The contacts of a step as MercuryDPM writes them, with 17 digits."""
+    """The contacts of equal spheres in a step as MercuryDPM writes them, each from both sides, with 17 digits."""
     one = ds.isel(time=0)
+    i = one["contact_i"].to_numpy()  # ids are rows
+    j = one["contact_j"].to_numpy()
     force = one["contact_force"].to_numpy()
     point = one["contact_point"].to_numpy()
-    size = np.linalg.norm(force, axis=1)[:, None]
-    normal = force / np.where(size > 0, size, 1)
-    numbers = [point, 0 * size, 0 * size, size, 0 * size, normal, normal]
+    arm = one["position"].to_numpy()[i] - point
+    distance = np.linalg.norm(arm, axis=1, keepdims=True)
+    normal = arm / distance
+    pressing = (force * normal).sum(axis=1, keepdims=True)
+    rest = force - pressing * normal
+    sliding = np.linalg.norm(rest, axis=1, keepdims=True)
+    tangent = rest / np.where(sliding > 0, sliding, 1)
+    overlap = one["diameter"].to_numpy()[i, None] - 2 * distance
+    nothing = np.zeros_like(distance)
+    shared = [point, overlap, nothing, pressing, sliding]
+    sides = [
+        np.column_stack([i, j, *shared, normal, tangent]),
+        np.column_stack([j, i, *shared, -normal, -tangent]),
+    ]
     form = "0.01 %d %d " + " ".join(["%.17g"] * 13) + "\n"
-    rows = np.column_stack([one["contact_i"], one["contact_j"], *numbers]).tolist()
+    rows = np.stack(sides, axis=1).reshape(-1, sides[0].shape[1]).tolist()
     return "# 0.01 1\n# 0 0 0 4 4 2\n# 0.25 0.5 0 0 0 0\n" + "".join(
         [form % tuple(row) for row in rows]
     )
