@@ -13,7 +13,7 @@ from xcg.scene.scene import Scene
 
 FACTS = (
     "setup", "edges", "periods", "lasting_periods", "box_lasts", "tilted", "sizes", "corners",
-    "cylindrical", "radius", "rows", "layer_depth", "position_known",
+    "cylindrical", "radius", "rows", "layer_depth",
 )  # fmt: skip
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -176,11 +176,12 @@ class _Slices(FrameAnalysis):
         """Return thickness and method."""
         return {"slice_width": self.width, "method": self.method}
 
-    def periodic_axes(self, scene: Scene) -> str:
-        """Return the axis across the slices, or all axes of a tilted box, whose images it shifts."""
+    def prepare(self, scene: Scene) -> Self:
+        """Leave out images along the slices, but those of a tilted box, which it shifts across them."""
         if scene.tilted:
-            return scene.setup.periodic
-        return self.axis if self.axis in scene.setup.periodic else ""
+            return self
+        periodic = self.axis if self.axis in self.setup.periodic else ""
+        return replace(self, setup=replace(self.setup, periodic=periodic))
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, NDArray]:
         """Compute temperature, velocity and count in the slices of one step."""

@@ -122,7 +122,7 @@ def check(
     Traceback (most recent call last):
     ValueError: spacing=-1.0: expected a positive length (m), or None
     """
-    if kind.fits(value) or (optional and value is None):
+    if (optional and value is None) or kind.fits(value):
         return
     expected = [kind.adjective, _NOUNS.get(unit, "number")]
     if unit:

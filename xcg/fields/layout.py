@@ -21,7 +21,7 @@ from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_length
 from xcg.fields.sums.nodes import Nodes
 from xcg.scene.scene import Scene
-from xcg.scene.schema import COMPONENTS, PADDING
+from xcg.scene.schema import COMPONENTS, PADDING, known_without_reading
 
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
@@ -113,8 +113,10 @@ def _check_pointwise(request: Request) -> None:
 def automatic_bounds(scene: Scene, cutoff: float) -> dict[str, tuple[float, float]]:
     """Bounds by default: the period, or the particles' extent with their supports, or the box they were read with."""
     periodic = scene.setup.periodic
-    # a box does not follow positions that were changed
-    bounds = {a: ends for a, ends in scene.edges.items() if scene.position_known or a in periodic}
+    bounds = dict(scene.edges)
+    if not known_without_reading(scene.ds, "position"):
+        # a box does not follow positions that were changed
+        bounds = {a: ends for a, ends in bounds.items() if a in periodic}
     if scene.corners is not None:
         for a, low, high in zip(COMPONENTS, *scene.corners, strict=True):
             if a not in periodic or a not in scene.edges:

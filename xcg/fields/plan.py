@@ -197,6 +197,7 @@ class Plan:
             cutoff = self.cutoffs
         wraps = zip(COMPONENTS, options.wrapped, strict=True)
         lengths = {axis: length for axis, length in self.extent.items() if length is not None}
+        extent = extent_text(lengths) if lengths else None
         attrs = {
             **self.nodes.attrs,
             "kernel": self.kernel.name,
@@ -216,7 +217,7 @@ class Plan:
             "friction": options.friction,
             "size_diameter": options.diameter,
             "lag": options.lag,
-            "extent": extent_text(lengths) or None,
+            "extent": extent,
             "fields_by_name": int(self.named) or None,
         }
         return {name: value for name, value in attrs.items() if value is not None}

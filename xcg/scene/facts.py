@@ -80,6 +80,7 @@ def with_present_names(f: xr.Dataset) -> xr.Dataset:
     return f.rename(names)
 
 
+_CODE = re.compile("[0-9a-f]{8}")  # as the coordinate holds it
 # facts by their codes, of this process: messages about joined parts name what differs
 _SEEN: dict[str, dict[str, Any]] = {}
 
@@ -120,7 +121,7 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
     for value in dict.fromkeys(np.ravel(setup.to_numpy()).tolist()):
         facts = _facts_in(setup.attrs)
         code = value
-        if not _is_code(value):
+        if not (isinstance(value, str) and _CODE.fullmatch(value)):
             facts = _facts_in(_json_object(value))
             code = _code_of(facts)
             ds = ds.assign_coords({SETUP: setup_of(facts)})
@@ -161,10 +162,6 @@ def _code_of(facts: Mapping[str, Any]) -> str:
             values = values.astype(float)
         texts.append(f"{name}={values.tolist()}")
     return hashlib.blake2b("\n".join(texts).encode(), digest_size=4).hexdigest()
-
-
-def _is_code(value: Any) -> bool:
-    return isinstance(value, str) and re.fullmatch("[0-9a-f]{8}", value) is not None
 
 
 def _json_object(text: Any) -> dict[str, Any]:

@@ -39,6 +39,8 @@ class Scene:
         Whether the edges of the box are not along x, y and z.
     cylindrical : bool
         Whether axes x, y, z belong to a cylindrical frame.
+    setup : Setup
+        Periodic axes, gravity, dimension, plane, thickness and unit system.
     """
 
     def __init__(
@@ -50,14 +52,10 @@ class Scene:
     ) -> None:
         self.ds = ds
         self.lag = lag
+        self.setup = Setup.of(ds.attrs)
         self.tilted = "lattice" in ds
         self.cylindrical = ds.attrs.get("frame") == "cylindrical"
         self.columns = {str(name): ds.variables[name] for name in ds.data_vars} | {**(made or {})}
-
-    @cached_property
-    def setup(self) -> Setup:
-        """Periodic axes, gravity, dimension, plane, thickness and unit system."""
-        return Setup.of(self.ds.attrs)
 
     @property
     def rows(self) -> list[str]:
@@ -85,11 +83,6 @@ class Scene:
         lowest = np.ravel(self.measures["particle_lower"]).tolist()
         highest = np.ravel(self.measures["particle_upper"]).tolist()
         return tuple(lowest), tuple(highest)
-
-    @property
-    def position_known(self) -> bool:
-        """Return True if `position` is in memory, or unchanged since it was measured."""
-        return "position" in self.ds and known_without_reading(self.ds, "position")
 
     @property
     def radius(self) -> float | None:
@@ -157,7 +150,7 @@ class Scene:
         """Return True if the box is the same in all steps."""
         return bool(self._lasting.all())
 
-    @property
+    @cached_property
     def lasting_periods(self) -> tuple[float, float, float]:
         """Period along x, y, z (m); infinite unless it is the same in all steps."""
         if self.tilted:

@@ -79,7 +79,8 @@ class FrameAnalysis:
 
         By default itself. A scene answers without reading: `columns` (variables by name), `setup`
         (periodic axes, dimension, units), `sizes` (diameters), `edges` of the box and `corners` of
-        the particles' extent.
+        the particles' extent. Images of a step are those along the periodic axes of the returned
+        `setup`, along which the box of each step has to be finite.
         """
         return self
 
@@ -111,13 +112,6 @@ class FrameAnalysis:
         """Return attributes of the result."""
         return {}
 
-    def periodic_axes(self, scene: Scene) -> str:
-        """Return the axes whose periodic images a step needs; all of the scene's by default.
-
-        Along these the box of each step has to be finite.
-        """
-        return scene.setup.periodic
-
     @property
     def lags(self) -> tuple[int, ...]:
         """Other steps that a step is computed with, as offsets: ``(1,)`` for the next."""
@@ -145,11 +139,8 @@ class FrameAnalysis:
         raise NotImplementedError(f"{type(self).__name__}.frame is missing")
 
     def frames(self, now: Step, *others: Step | None) -> Mapping[str, ArrayLike]:
-        """Compute the results of a step with others, in the order of `lags`; None for no such step.
-
-        By default `frame` of the step.
-        """
-        return self.frame(*now)
+        """Compute the results of a step with others, in the order of `lags`; None for no such step."""
+        raise NotImplementedError(f"{type(self).__name__}.frames is missing")
 
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Return the result as users see it: by default as it is labelled."""
@@ -210,14 +201,13 @@ def run(
     coords = analysis.coords(scene)
     lengths = _lengths(analysis, scene, coords)
     shapes = {name: tuple(lengths[dim] for dim in row.dims) for name, row in rows.items()}
-    read = _names(ds, [*required, *(n for n in analysis.optional if n in ds)])
+    read = _variables_of_task(ds, [*required, *(n for n in analysis.optional if n in ds)])
     arguments = (
         replace(analysis, threads=threads_a_chunk(ds, read, THREADS)),
         name,
         rows,
         shapes,
-        analysis.periodic_axes(scene),
-        {n: _rows_along(ds.variables[n]) for n in read},
+        read,
     )
     ragged = [n for n, row in rows.items() if row.dims and row.dims[0] not in {*coords, *AXES}]
     task = _RaggedTask(*arguments, tuple(ragged)) if ragged else _Task(*arguments)
@@ -247,25 +237,26 @@ def _lengths(
     return {**of_scene, **dict.fromkeys(AXES, 3), **of_coords, **analysis.sizes(scene, scene.ds)}
 
 
-def _names(ds: xr.Dataset, required: Sequence[str]) -> list[str]:
-    """Return the variables of a task: what is required, the keys of its rows, and the box."""
-    keys = ["particle_id"]
-    if any("contact" in ds[name].dims for name in required):
-        keys.append("contact_i")
-    return list(dict.fromkeys([*keys, *required, *(name for name in OF_STEP if name in ds)]))
+def _variables_of_task(ds: xr.Dataset, required: Sequence[str]) -> dict[str, str]:
+    """Return the variables of a task with the dimension of their rows, "" for one value a step.
 
-
-def _rows_along(values: xr.Variable) -> str:
-    """Return the dimension of the rows of a variable; "" for one value a step."""
-    dims = [str(dim) for dim in values.dims if dim != "time" and dim not in AXES]
-    return "".join(dims[:1])
+    They are what is required, the ids that tell rows from padding, and the box.
+    """
+    ids = ["particle_id"]
+    if any("contact" in ds.variables[name].dims for name in required):
+        ids.append("contact_i")
+    row_dims: dict[str, str] = {}
+    for name in (*ids, *required, *(name for name in OF_STEP if name in ds)):
+        dims = [str(dim) for dim in ds.variables[name].dims if dim not in ("time", *AXES)]
+        row_dims[name] = "".join(dims[:1])
+    return row_dims
 
 
 # --- one chunk of time ----------------------------------------------------------------------------
 
 
 def _with_others(
-    ds: xr.Dataset, read: Sequence[str], lags: Sequence[int]
+    ds: xr.Dataset, read: Iterable[str], lags: Sequence[int]
 ) -> tuple[xr.Dataset, list[str]]:
     """Add the variables of other steps to each step, as ``name@lag``, and whether there is one."""
     beside: dict[str, xr.Variable] = {}
@@ -288,25 +279,30 @@ class _Task:
     name: str
     rows: Mapping[str, Variable]
     shapes: Mapping[str, tuple[int | None, ...]]
-    periodic: str
-    dims: Mapping[str, str]
+    row_dims: Mapping[str, str]  # dimension of the rows of each variable
 
     def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
         """Return the results of all steps, time first."""
-        of_steps = (self.analysis.frames(now, *others) for now, *others in self._steps(arrays))
-        return self.stack(of_steps, arrays)
+        analysis = self.analysis
+        if analysis.lags:
+            return self.stack(self._with_other_steps(arrays), arrays)
+        steps = steps_in(arrays, analysis.setup.periodic, self.row_dims)
+        return self.stack((analysis.frame(*step) for step in steps), arrays)
 
-    def _steps(self, arrays: Mapping[str, NDArray]) -> Iterator[tuple[Any, ...]]:
-        """Yield each step with the others that it is computed with, None for one outside the series."""
-        own = {name: a for name, a in arrays.items() if "@" not in name}
-        series: list[Iterable[Step | None]] = [steps_in(own, self.periodic, self.dims)]
+    def _with_other_steps(self, arrays: Mapping[str, NDArray]) -> Iterator[Mapping[str, ArrayLike]]:
+        """Yield the results of each step with those at its lags, None for one outside the series."""
+        periodic = self.analysis.setup.periodic
+        of_step = {name: a for name, a in arrays.items() if "@" not in name}
+        series: list[Iterable[Step | None]] = [steps_in(of_step, periodic, self.row_dims)]
         for lag in self.analysis.lags:
             end = f"@{lag}"
             others = {n.removesuffix(end): a for n, a in arrays.items() if n.endswith(end)}
             exists = others.pop("exists").tolist()
-            steps = steps_in(others, self.periodic, self.dims)
+            steps = steps_in(others, periodic, self.row_dims)
             series.append(step if here else None for here, step in zip(exists, steps, strict=True))
-        return zip(*series, strict=True)
+        for now, *others_of_step in zip(*series, strict=True):
+            assert now is not None
+            yield self.analysis.frames(now, *others_of_step)
 
     def stack(
         self, of_steps: Iterable[Mapping[str, ArrayLike]], arrays: Mapping[str, NDArray]

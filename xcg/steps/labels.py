@@ -78,7 +78,11 @@ def label(
     labels |= {dim: (dim, values) for dim, values in AXES.items() if dim in used - labels.keys()}
     result = storable(xr.Dataset(data, labels))
     result.attrs = provenance(ds, call) | attrs
-    return name_skipped(with_phase_labels(result))
+    if used.intersection(PHASES):
+        result = with_phase_labels(result)
+    if SKIPPED in arrays:
+        result = name_skipped(result)
+    return result
 
 
 def annotated(dims: str | Sequence[str], values: Any, units: str, long_name: str) -> xr.Variable:

@@ -68,32 +68,34 @@ def map_over_time(
     dict
         NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
     """
-    once = active_call()  # a function that maps several times warns once
     variables = ds.variables
     inputs = {
         name: variables[name].transpose("time", ..., *_LAST, missing_dims="ignore")
         for name in names
     }
+    once = active_call()  # a function that maps several times warns once
     numbers = None
-    skip = check_on_error(on_error) == "skip"
-    if skip:
+    skips = on_error != "raise"
+    if skips:
+        check_on_error(on_error)
         results = {**results, SKIPPED: ((), "bool")}
         numbers = _numbers(ds)
     if not ds.sizes["time"]:
         return {name: np.empty((0, *shape), dtype) for name, (shape, dtype) in results.items()}
-    compute = partial(_with_warnings_once, once, compute)
     if any(values.chunks is not None for values in inputs.values()):
+        compute = partial(_with_warnings_once, once, compute)
         return _lazy_results(inputs, compute, results, label, numbers, on_error)
     arrays = {name: values.to_numpy() for name, values in inputs.items()}
-    if skip:
-        return guarded(results, numbers, {}, {}, arrays, compute)
-    return compute(arrays)
+    with once.active():
+        if skips:
+            return guarded(results, numbers, {}, {}, arrays, compute)
+        return compute(arrays)
 
 
 def _with_warnings_once(
     once: Once, compute: Compute, arrays: Mapping[str, NDArray]
 ) -> dict[str, NDArray]:
-    """Compute a chunk; warnings of `xcg.common.messages.warn_once` are given once for all chunks."""
+    """Compute a chunk in its task; `xcg.common.messages.warn_once` warns once for all tasks."""
     with once.active():
         return compute(arrays)
 
