@@ -201,11 +201,10 @@ def unread_by_number(ref: StepRef, filled: Mapping[str, str], options: ReadOptio
 
 def magnitudes(filled: Mapping[str, str]) -> str:
     """Describe forces of contacts without a direction, and what to do, as the end of a message."""
-    columns = [
-        column for slot, column in filled.items() if slot in ("normal_force", "tangential_force")
-    ]
+    columns = [column for slot, column in filled.items() if slot in _FORCES]
     return (
         f"{' and '.join(map(repr, columns))} are magnitudes, and contact forces are vectors; write their components, "
-        "or, for discs in the plane of x and y, read both tables and pass them to xcg.scene_from_table(grains, "
-        f"contacts, names={{{columns[0]!r}: 'normal_force', ...}}), which takes the directions from the centres"
+        "or read both tables and pass them to xcg.scene_from_table(grains, contacts, "
+        f"names={{{columns[0]!r}: 'normal_force', ...}}), which takes directions from the centres (of "
+        "tangential forces only for discs in the plane of x and y)"
     )

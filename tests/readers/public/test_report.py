@@ -96,12 +96,15 @@ def test_columns_of_contacts_that_resemble_a_variable_are_named(tmp_path, grains
         xcg.open_scene(grains, path, density=1.0, names=dict.fromkeys(names))
 
 
-@pytest.mark.parametrize("columns", ["fn ft", "fn", "normal_force tangential_force", "Fn Fs"])
+@pytest.mark.parametrize(
+    "columns", ["fn ft", "fn", "normal_force tangential_force", "Fn Fs", "force", "total_force"]
+)
 def test_magnitudes_of_forces_name_the_way_that_reads_them(tmp_path, grains, columns):
     names = columns.split()
     text = ",".join(["id1,id2", *names]) + "\n1,2" + ",7" * len(names) + "\n"
     path = dumps.write(tmp_path / "c.csv", text)
-    for options in ({}, {"names": {names[0]: "normal_force"}}):
+    for variable in (None, "normal_force", "contact_force"):
+        options = {"names": {names[0]: variable}} if variable else {}
         with pytest.raises(xcg.SceneError, match=f"'{names[0]}'.* magnitudes.*scene_from_table"):
             xcg.open_scene(grains, path, density=1.0, **options)
 
@@ -243,6 +246,17 @@ def write_points(path, grains, **arrays):
     writer.SetFileName(str(path))
     writer.SetInputData(data)
     writer.Write()
+
+
+@pytest.mark.parametrize("name", ["force", "force_normal"])
+def test_magnitudes_of_forces_in_vtk_files_name_the_way_that_reads_them(tmp_path, grains, name):
+    scene = xcg.open_scene(grains, density=1.0)
+    write_points(tmp_path / "g_1.vtp", scene)
+    arrays = {"id1": [1, 2, 3], "id2": [2, 3, 1], name: [7.0, 7.0, 7.0]}
+    write_points(tmp_path / "c_1.vtp", scene, **arrays)
+    ds = xcg.open_scene(tmp_path / "g_1.vtp", tmp_path / "c_1.vtp", density=1.0)
+    with pytest.raises(xcg.SceneError, match=f"'{name}' are magnitudes.*scene_from_table"):
+        ds.load()
 
 
 @pytest.mark.filterwarnings("error")

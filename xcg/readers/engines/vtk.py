@@ -244,12 +244,11 @@ class Vtk(Engine):
         """Read the contacts of one step as they stand: points are contact points; on lines they follow from radii."""
         frame = self._read(ref, options, contacts=True)
         parts = [frame.pop(name) for name in _PARTS if name in frame]
-        if "contact_force" not in frame:
-            if any(part.ndim == 1 for part in parts):
-                raise SceneError(
-                    f"{ref.path}: {magnitudes(self.targets(ref, options, contacts=True))}"
-                )
-            frame["contact_force"] = sum(parts[1:], parts[0])
+        forces = [frame["contact_force"]] if "contact_force" in frame else parts
+        if any(force.ndim == 1 for force in forces):
+            targets = self.targets(ref, options, contacts=True)
+            raise SceneError(f"{ref.path}: {magnitudes(targets)}")
+        frame["contact_force"] = sum(forces[1:], forces[0])
         return frame
 
     def _read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> Frame:
