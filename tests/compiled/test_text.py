@@ -65,6 +65,8 @@ SHAPES = [
     lambda rng: f"{double(rng):.{rng.randint(1, 24)}e}",
     lambda rng: f"{math.ldexp(rng.random(), -1022):.{rng.randint(1, 20)}g}",  # subnormal
     lambda rng: f"{rng.choice([4.9e-324, 2.2250738585072014e-308, 1.7976931348623157e308]):.{rng.randint(12, 30)}e}",
+    lambda rng: f"{rng.gauss(0, 1):.{rng.randint(0, 20)}e}".replace("e", rng.choice("dD")),  # Fortran
+    lambda rng: f"{digits(rng, 3)}.{digits(rng, 3)}D{rng.choice(['', '+', '-'])}{rng.randint(0, 340)}",
     halfway,
     lambda rng: rng.choice(["inf", "Infinity", "0", "0.0", "0e9", "1e999", "1e-999", "0e9999999999", "1e-9999999999"]),
 ]  # fmt: skip
@@ -82,7 +84,8 @@ def words(count, seed=0):
 def wrong(found, columns=10):
     """Words that are not read as Python reads them, to the bit, and how many are left to Python."""
     rows = len(found) // columns
-    expected = np.array([float(word) for word in found]).reshape(rows, columns).T
+    numbers = [float(word.lower().replace("d", "e")) for word in found]
+    expected = np.array(numbers).reshape(rows, columns).T
     ends = [" \n", "\r\n", "\n", "\t \n"]
     lines = [
         " \t"[row % 2].join(found[row * columns : (row + 1) * columns]) + ends[row // 7 % 4]
@@ -130,7 +133,8 @@ def test_usual_numbers_are_decided_by_compiled_code(most):
     "word",
     ["", "x", "1x", "--1", "+-1", "1-", "1e", "1e+", "e5", ".", "-", "+", "-.", ".e5", "1..2", "1.2.3", "1e5.", "1e5e5",
      "0x10", "1_000", "1,5", "nan", "-nan", "1e-0x", "12345678.1x", "1234567x", "1.2345678x", "1 e5"[2:], "1\x00",
-     "١٢", "1e+٣", "infinit", "1:2", "1/2", "12345678:", "1.:", "1.0000000:", "e-05", "-e-05", "1e--5", "1e+-5"],
+     "١٢", "1e+٣", "infinit", "1:2", "1/2", "12345678:", "1.:", "1.0000000:", "e-05", "-e-05", "1e--5", "1e+-5",
+     "1d", "1D+", "d5", "1d5e5", "1c5", "1g-05"],
 )  # fmt: skip
 @pytest.mark.parametrize("other", ["1", "-0.5", "1e-05"])
 def test_words_that_are_no_numbers_raise(word, other):

@@ -272,9 +272,9 @@ def _usual(text, at, end):
         sign = tail >> _EIGHT & _U(255)
         tens = np.int64(tail >> _U(16) & _U(255)) - 48
         ones = np.int64(tail >> _U(24) & _U(255)) - 48
-        # "e-05"
+        # "e-05", Fortran's "D-05"
         if (
-            tail & _U(0xDF) == 69
+            tail & _U(0xDE) == 68
             and (sign == 43 or sign == 45)
             and 0 <= tens <= 9
             and 0 <= ones <= 9
@@ -334,7 +334,7 @@ def _any(text, at, end):
             break
         at += 1
     if at < end:
-        there &= (text[at] | 32) == 101
+        there &= (text[at] | 33) == 101  # e or E, or Fortran's d or D
         at += 1
         negative = at < end and text[at] == 45
         at += at < end and (text[at] == 45 or text[at] == 43)

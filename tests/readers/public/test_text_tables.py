@@ -53,6 +53,21 @@ def test_names_in_quotes_may_hold_blanks(tmp_path, start):
     np.testing.assert_array_equal(ds.position[0], [[0.1, 0.2, 0.3]])
 
 
+@pytest.mark.parametrize("sign", [" ", ","])
+@pytest.mark.filterwarnings("error")
+def test_numbers_of_fortran_are_read(tmp_path, sign):
+    rows = (
+        "# t = 5.0D-01\nid x y z radius\n4 1.0D-01 2.0d-1 0.0D+00 1.0D-01\n2 .5D0 3.D-1 1D0 2d-1\n"
+    )
+    (tmp_path / "a.txt").write_text(
+        rows.replace(" ", sign).replace(f"#{sign}t{sign}={sign}", "# t = ")
+    )
+    ds = xcg.open_scene(tmp_path / "a.txt")
+    assert ds.time.values.tolist() == [0.5]
+    np.testing.assert_array_equal(ds.position[0], [[0.5, 0.3, 1.0], [0.1, 0.2, 0.0]])
+    np.testing.assert_array_equal(ds.diameter[0], [0.4, 0.2])
+
+
 def test_a_header_without_rows_warns(tmp_path):
     (tmp_path / "a.csv").write_text("id,x,y,z,radius\n")
     with pytest.warns(

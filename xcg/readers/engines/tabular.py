@@ -39,7 +39,7 @@ from xcg.scene.times import read_times, without_noise
 _POSITION = ("position_x", "position_y", "position_z")
 _ENDS = ("contact_i", "contact_j")
 # also with a decimal comma, which is an error by name when it is read
-_NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
+_NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eEdD][-+]?\d+)?\s*")
 
 _OF_TRACKPY = {"mass", "signal", "ecc"}  # its mass is the brightness of a feature
 

@@ -25,7 +25,7 @@ _LONGEST_ROW = 1 << 14  # bytes
 _MARKS = b"#%/ \t"  # of comments
 _TIME = re.compile(  # TIME: 0.5 s, // t = 500 ms, Time (s),0.5
     r"\W*(?:simulation |sim |current |physical )?(?:time|t)\s*(?:[\[(](\w+)[\])])?\s*[:=,;\t ]\s*"
-    r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*[\[(]?([A-Za-zµ]*)[\])]?[\s,;]*",
+    r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?)\s*[\[(]?([A-Za-zµ]*)[\])]?[\s,;]*",
     re.IGNORECASE,
 )
 
@@ -162,5 +162,5 @@ def time_of(lines: Iterable[bytes], time: float | None = None, *, convert: bool)
         above, value, below = match.groups() if match is not None else ("", "", "")
         unit = parse_unit(below or above or "s")
         if value and unit is not None and unit[1] == (0, 0, 1):
-            time = float(value) * (unit[0] if convert else 1.0)
+            time = float(value.upper().replace("D", "E")) * (unit[0] if convert else 1.0)
     return time

@@ -46,6 +46,7 @@ _QUOTED = re.compile(rb'"[^"]*"|\S+')  # words between blanks; quotes hold sever
 _BLANKS_OF_CELLS = re.compile(rb"(?<=[^\s,;]) +(?=[^\s,;])")
 _BLANKS_OF_DATES = re.compile(rb"(?<=\d{4}[-/]\d\d[-/]\d\d) +(?=\d\d:\d\d)")
 _DATE = re.compile(rb"[\"']?\d{4}[-/]\d\d[-/]\d\d(?!\d)")
+_OF_FORTRAN = bytes.maketrans(b"dD", b"eE")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
@@ -280,9 +281,12 @@ def _parse(columns: int, places: NDArray, separator: bytes, block: bytes) -> tup
 
 
 def _number(word: bytes) -> float:
-    """Read words that compiled code leaves undecided; NaN for anything but numbers."""
+    """Read words that compiled code leaves undecided; NaN for anything but numbers.
+
+    Fortran writes a D in place of the E.
+    """
     try:
-        return float(word) if b"_" not in word else math.nan
+        return float(word.translate(_OF_FORTRAN)) if b"_" not in word else math.nan
     except ValueError:
         return math.nan
 
