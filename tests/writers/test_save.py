@@ -498,7 +498,7 @@ def test_files_that_are_no_scene_raise(tmp_path, suffix):
     with pytest.raises(
         xcg.SceneError, match=rf"fields\{suffix} is no scene that xcg saved \(it holds density\)"
     ):
-        xcg.open_scene(fields)
+        xcg.open_scene(fields, density=1.0)
     broken = tmp_path / f"broken{suffix}"
     if suffix == ".zarr":
         broken.mkdir()

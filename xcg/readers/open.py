@@ -281,8 +281,9 @@ def open_scene(
     if engine is None and "mapping" not in engine_options:
         saved = saved_path(particles)
         if saved:
+            scene = open_saved(saved, chunks)
             arguments.check_beside_saved(saved)
-            return open_saved(saved, chunks)
+            return scene
     listing = list_series(arguments)
     ends = read_ends(arguments, listing)
     warn_of_missing_facts(arguments, listing, ends)

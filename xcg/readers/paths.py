@@ -168,9 +168,10 @@ def remembered(
             indexes[folder].add_steps(path, scan, steps)
         except errors.FAULTS as error:
             if steps and isinstance(error, SceneError):
-                first = steps[0].step
-                last = steps[-1].step
-                kept = f"{len(steps)} whole steps before it (step {first} to {last}) are kept"
+                kept = f"{len(steps)} whole steps before it"
+                if steps[0].step >= 0:
+                    kept += f" (step {steps[0].step} to {steps[-1].step})"
+                kept += " are kept"
                 if errors.recorded() is None:
                     kept += " with on_error='skip'"
                 error = SceneError(f"{error}; {kept}")

@@ -124,6 +124,18 @@ def test_a_line_of_text_below_the_rows_is_named(tmp_path, line):
         open_text(tmp_path, f"{NAMES}\n{ROWS}{line}\n").load()
 
 
+@pytest.mark.parametrize(
+    ("row", "hint"),
+    [
+        (NAMES, "row 2 repeats the names of the columns.*delete"),
+        ('"7","0.1","0.2","0.3","0.1"', r"numbers in quotes are read by pandas.*sep=','\)\)$"),
+    ],
+)
+def test_rows_of_other_words_name_the_cause(tmp_path, row, hint):
+    with pytest.raises(xcg.SceneError, match=hint):
+        open_text(tmp_path, f"{NAMES}\n{ROWS}{row}\n{ROWS}").load()
+
+
 @pytest.mark.filterwarnings("error")
 def test_quoted_names_hold_separators(tmp_path):
     names = "id,\"('pos', 'x')\",\"('pos', 'y')\",\"('pos', 'z')\",radius"

@@ -184,3 +184,16 @@ def test_momenta_of_ase_are_named(tmp_path):
     path = write_extended(tmp_path / "a.xyz", velo="momenta")
     with pytest.warns(xcg.SceneWarning, match="'momenta_x' .velocity.*resemble variables"):
         assert "velocity" not in xcg.open_scene(path, density=1.0)
+
+
+@pytest.mark.filterwarnings("ignore:.*species are words")
+def test_a_bad_number_in_the_last_row_is_not_taken_for_a_line_of_text(tmp_path):
+    whole = "2\ncomment\nA 0 0 0\nB 1 0 0\n"
+    (tmp_path / "a.xyz").write_text(whole.replace("B 1", "B nan"))
+    with pytest.raises(xcg.SceneError, match=r"row 1 has 'nan' in column 'x', expected a number$"):
+        xcg.open_scene(tmp_path / "a.xyz", density=1.0).load()
+    (tmp_path / "a.xyz").write_text(whole + whole[:-9])
+    with pytest.raises(
+        xcg.SceneError, match=r"1 whole steps before it are kept with on_error='skip'$"
+    ):
+        xcg.open_scene(tmp_path / "a.xyz", density=1.0)

@@ -312,6 +312,8 @@ def _fault(
 ) -> str:
     """Describe the error of a row of a file, or a step in it (`source`)."""
     words = line.split()
+    if words == " ".join(columns).encode().split():
+        return "repeats the names of the columns, as after a restart: delete this line"
     if len(words) != len(columns):
         hint = f"the columns are {' '.join(columns)}"
         if last and line.count(b" ") < len(columns) - 1:  # else cells are empty
@@ -324,14 +326,18 @@ def _fault(
     wrong = next(column for column in wanted if math.isnan(_number(words[columns.index(column)])))
     word = words[columns.index(wrong)].decode("utf-8", "replace")
     fault = f"has {word!r} in column '{wrong}', expected a number"
-    if _DECIMAL_COMMA.fullmatch(word):
+    plain = word.strip("\"'")
+    has_comma = _DECIMAL_COMMA.fullmatch(plain)
+    if has_comma or (plain != word and is_number(plain.encode())):
         path = source.partition(" (step ")[0]
         sign = r"\s+" if separator == " " else separator
+        what = "decimal commas" if has_comma else "numbers in quotes"
+        decimal = ", decimal=','" if has_comma else ""
         fault += (
-            f"; decimal commas are read by pandas: xcg.scene_from_table(pandas.read_csv({path!r}, sep={sign!r}, "
-            "decimal=','))"
+            f"; {what} are read by pandas: xcg.scene_from_table(pandas.read_csv({path!r}, "
+            f"sep={sign!r}{decimal}))"
         )
-    elif last and words[0][:1].isalpha():
+    elif last and words[0][:1].isalpha() and columns[0] in wanted:
         fault += f"; {_BELOW}"
     elif word[:1].isalpha() and word.casefold() != "nan":
         fault += f"; a column of words is dropped by names={{{wrong!r}: None}}"
