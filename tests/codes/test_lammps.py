@@ -143,7 +143,7 @@ def edges(lmp):
     return np.array([[lx, 0, 0], [xy, ly, 0], [xz, yz, lz]])
 
 
-@pytest.mark.filterwarnings("ignore:.*species are words", "ignore:.*look like forces")
+@pytest.mark.filterwarnings("ignore:.*species are words")
 @pytest.mark.parametrize("form", FORMS)
 def test_positions_in_all_forms_of_dumps_are_those_of_lammps(packing, tmp_path, form):
     name, style = FORMS[form]

@@ -292,6 +292,16 @@ def test_a_lammps_file_without_units_warns(tmp_path):
         xcg.open_scene(path, units=units)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", ["force_{}", "forces.{}", "Total Force {} (N)", "{} force"])
+def test_the_force_on_a_grain_is_not_needed(tmp_path, name):
+    names = [name.format(axis) for axis in "XYZ"]
+    header = ",".join(["id,x,y,z,radius", *names])
+    particles = dumps.write(tmp_path / "p.csv", f"{header}\n1,0,0,0,.5,1,2,3\n")
+    ds = xcg.open_scene(particles, density=1.0)
+    assert ds.attrs["not_read"] == "particles: " + ", ".join(names)
+
+
 def test_unused_columns_of_walls_or_forces_warn(tmp_path):
     rows = [f"{row} 7" for row in dumps.ROWS]
     particles = dumps.write(tmp_path / "p.dump", dumps.dump_text(rows, f"{dumps.ATOMS} f_wall[1]"))

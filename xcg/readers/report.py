@@ -25,6 +25,7 @@ from xcg.readers.wall_columns import WALL_ARRAY
 from xcg.scene.schema import COMPONENTS
 
 _SUSPECT = re.compile("wall|force", re.IGNORECASE)
+_ON_GRAINS = re.compile("(total|net)?forces?[xyz]|[xyz](total|net)?forces?")  # all that acts on one
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,8 @@ class Report:
         for name in filter(_SUSPECT.search, self.unread):
             slot = aliases.get(canonical(name), "")
             of_vector = {f"{slot[:-2]}_{axis}" for axis in COMPONENTS}
+            if not self.contacts and _ON_GRAINS.fullmatch(canonical(name)):
+                continue
             if name not in known and not of_vector <= slots_of_file:
                 suspects.append(name)
         return suspects
