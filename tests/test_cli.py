@@ -252,7 +252,7 @@ def test_an_unknown_period_must_be_given(series):
 
 @pytest.fixture
 def a_chunk_a_step(monkeypatch):
-    monkeypatch.setattr("xcg.readers.lazy._TASK", 0.0)
+    monkeypatch.setattr("xcg.readers.chunks._TASK", 0.0)
 
 
 @pytest.mark.usefixtures("a_chunk_a_step")

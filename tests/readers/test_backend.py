@@ -69,6 +69,19 @@ def test_only_selected_variables_are_read(files, reads):
     xr.testing.assert_identical(again.compute(), whole)
 
 
+def test_a_single_step_is_read_once_without_dask(tmp_path, reads):
+    one = series.write_vtp_series(tmp_path, 60, 1)
+    ds = xcg.open_scene(**one)
+    assert not ds.chunks
+    first = ds.cg.coarse_grain("stress", axes="z")
+    assert not first.chunks
+    xr.testing.assert_identical(ds.cg.coarse_grain("stress", axes="z"), first)
+    assert max(reads.values()) == 1
+    chunked = xcg.open_scene(**one, chunks=1)
+    assert chunked.chunks["time"] == (1,)
+    xr.testing.assert_identical(chunked.compute(), ds)
+
+
 def test_steps_are_kept_within_a_bound(files, reads, monkeypatch):
     monkeypatch.setattr(indexed, "_MOST_KEPT", 0)
     indexed._recent.clear()

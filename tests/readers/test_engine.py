@@ -212,9 +212,10 @@ def test_faulty_engines_are_named(tmp_path):
     ]:
         with pytest.raises(xcg.SceneError, match=message):
             xcg.open_scene(path, engine=Points, **arguments)
+    unread = xcg.open_scene(path, engine=Points, chunks=1)
     np.save(path, np.eye(5, 3))
     with pytest.raises(xcg.SceneError, match="after the scene was opened"):
-        ds.compute()
+        unread.compute()
 
 
 # --- what readers get wrong ------------------------------------------------------------------------------

@@ -185,7 +185,7 @@ def test_boundary_force_density_adds_up_to_the_sums_of_lammps(silo):
 
 
 def test_walls_stay_lazy_and_keep_their_names(tmp_path):
-    lazy = xcg.open_scene(DATA / "particles.dump.gz", walls=WALLS)
+    lazy = xcg.open_scene(DATA / "particles.dump.gz", walls=WALLS, chunks=1)
     assert lazy.contact_i.chunks is not None
     floor = lazy.cg.select_walls("floor")
     assert floor.contact_i.chunks is not None

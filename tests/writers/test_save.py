@@ -394,10 +394,10 @@ def test_open_scene_opens_saved_scenes(tmp_path, suffix, chunks, expected):
 
 def test_chunks_of_long_series_equal_those_of_the_file(tmp_path, monkeypatch):
     saved = random_steps(7).chunk(time=2).cg.save(tmp_path / "scene.nc")
-    monkeypatch.setattr("xcg.readers.lazy._TASK", 1e-9)
+    monkeypatch.setattr("xcg.readers.chunks._TASK", 1e-9)
     assert xcg.open_scene(saved).chunks["time"] == (2, 2, 2, 1)
     monkeypatch.setattr(
-        "xcg.readers.lazy._TASK",
+        "xcg.readers.chunks._TASK",
         2.5e-6 * sum(xcg.open_scene(saved).sizes[d] for d in ("particle", "contact")),
     )
     assert xcg.open_scene(saved).chunks["time"] == (4, 3)

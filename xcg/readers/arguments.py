@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from xcg.common.checks import check_choice
 from xcg.common.messages import SceneError, did_you_mean
 from xcg.readers.caller_names import CallerNames
+from xcg.readers.chunks import Chunks
 from xcg.readers.engine import Engine, ReadOptions, load_engine
-from xcg.readers.lazy import Chunks
 from xcg.readers.names import ALL_SLOTS
 from xcg.readers.paths import PathLike
 from xcg.readers.recognise import guess_engine

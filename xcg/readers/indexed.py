@@ -19,8 +19,8 @@ from xcg.common.compat import (
     MemoryCachedArray,
     explicit_indexing_adapter,
 )
-from xcg.readers.lazy import Series
 from xcg.readers.read_steps import read_contact_chunk, read_particle_chunk
+from xcg.readers.series import Series
 from xcg.scene.schema import Frame
 
 _KEPT = 2  # steps that are always kept

@@ -9,10 +9,10 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from xcg.readers.arguments import Arguments, Missing, Paths
+from xcg.readers.chunks import Chunks, is_automatic
 from xcg.readers.ends import lacks_ids, read_ends, warn_of_missing_facts
 from xcg.readers.engine import Engine
 from xcg.readers.indexed import indexed_arrays
-from xcg.readers.lazy import Chunks, lazy_arrays
 from xcg.readers.listing import list_series
 from xcg.readers.saved import open_saved, saved_path
 from xcg.readers.series import make_series, with_origin
@@ -161,7 +161,7 @@ def open_scene(
         but no more than dask's ``array.chunk-size`` (128 MiB) of arrays: one of 100,000 grains,
         tens of 1000; a mapping such as ``{"time": 10}`` or ``{"time": (10, 5)}``. Rows of a step
         stay together. None gives arrays without dask, which are read when they are used and then
-        kept.
+        kept; so does "auto" for a single step, which has no chunks to share among workers.
     on_error : {"raise", "skip"}
         What to do about files that are missing from a list, empty, or garbled or cut off in a
         header: stop with an error that names the file (default), or leave out what cannot be
@@ -178,11 +178,11 @@ def open_scene(
     Returns
     -------
     xarray.Dataset
-        The scene, with dask arrays: ``position`` and ``velocity`` (time, particle, component) in m
-        and m s-1, ``diameter``, ``mass``, ... (time, particle), ``contact_force`` and
-        ``contact_point`` (time, contact, component) in N and m, ... Rows fill a prefix, particles
-        sorted by id; the rest is padding (``particle_id == -1``, ``contact_i == -1``, NaN). ``box``
-        (time, component, bound) is in memory.
+        The scene, with dask arrays where it has several steps: ``position`` and ``velocity``
+        (time, particle, component) in m and m s-1, ``diameter``, ``mass``, ... (time, particle),
+        ``contact_force`` and ``contact_point`` (time, contact, component) in N and m, ... Rows fill
+        a prefix, particles sorted by id; the rest is padding (``particle_id == -1``,
+        ``contact_i == -1``, NaN). ``box`` (time, component, bound) is in memory.
 
     Raises
     ------
@@ -290,7 +290,13 @@ def open_scene(
     numbered = lacks_ids(listing, ends)
     setup = setup_of(arguments, listing, ends)
     series, measured = make_series(arguments, listing, ends, setup)
-    arrays: Any = indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks)
+    arrays: Any
+    if chunks is None or (is_automatic(chunks) and len(series.steps) == 1):
+        arrays = indexed_arrays(series)
+    else:
+        from xcg.readers.lazy import lazy_arrays  # slow to import: it needs dask.array
+
+        arrays = lazy_arrays(series, chunks)
     scene = to_dataset(
         arrays,
         time=series.times,

@@ -15,7 +15,7 @@ from dask.base import tokenize
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.readers.lazy import Chunks, chunk_sizes, steps_in_a_task
+from xcg.readers.chunks import Chunks, chunk_sizes, steps_in_a_task
 from xcg.readers.paths import PathLike
 from xcg.scene.schema import BOX
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError
@@ -14,7 +17,6 @@ from xcg.readers.arguments import Arguments
 from xcg.readers.boxes import boxes_of
 from xcg.readers.engine import StepRef
 from xcg.readers.files.text import source_of
-from xcg.readers.lazy import Series
 from xcg.readers.listing import Listing
 from xcg.readers.pairs import origin_of
 from xcg.readers.read_steps import Source, Step, read_step
@@ -23,11 +25,63 @@ from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.contacts import named_walls
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion, check_scene
-from xcg.scene.schema import VARIABLES, Frame, Setup
+from xcg.scene.schema import VARIABLES, Frame, Setup, variable
 from xcg.scene.sizes import measure_frames, measured_variables
 from xcg.steps.faults import FAULTS
 
 _MOST_ROWS_OF_MOTION = 20_000  # particles of the second step, if it is read for a comparison alone
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """The steps of a scene, and what their bodies hold.
+
+    Attributes
+    ----------
+    boxes : mapping
+        Variables of the domain, time first, in the scene's units.
+    particle_types : mapping
+        Type of each variable of the particles.
+    contact_names : sequence of str
+        Variables of the contacts; empty without contacts.
+    times : array (t,) or None
+        Time of each step (s); None if it is not known.
+    """
+
+    source: Source
+    steps: Sequence[Step]
+    boxes: Frame
+    particle_types: Mapping[str, Any]
+    contact_names: Sequence[str]
+    times: NDArray | None = None
+
+    def rows(self) -> tuple[int, int]:
+        """Rows of particles and of contacts in a step, at most."""
+        contacts = max(sum(ref.rows for ref in step.contacts) for step in self.steps)
+        return max(step.particles.rows for step in self.steps), contacts
+
+    def arrays(self) -> dict[str, tuple[Any, tuple[int, ...]]]:
+        """Type and shape of all variables."""
+        particle_rows, contact_rows = self.rows()
+        rows = {name: (dtype, particle_rows) for name, dtype in self.particle_types.items()}
+        rows |= {name: (variable(name).dtype, contact_rows) for name in self.contact_names}
+        return {
+            name: (dtype, (len(self.steps), *variable(name, dtype).shape(n)))
+            for name, (dtype, n) in rows.items()
+        }
+
+    def token(self) -> str:
+        """Token of a series, from the files and options that it reads."""
+        from dask.base import tokenize  # slow to import
+
+        refs = [ref for step in self.steps for ref in (step.particles, *step.contacts)]
+        paths = sorted({piece.path for ref in refs for piece in ref.parts})
+        modified = [os.stat(path).st_mtime_ns for path in paths]
+        # as text, which dask digests ten times as fast as thousands of objects
+        steps = repr(self.steps)
+        return tokenize(
+            self.source, steps, modified, self.boxes, dict(self.particle_types), self.contact_names
+        )
 
 
 def make_series(
