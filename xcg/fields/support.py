@@ -69,8 +69,9 @@ def support_of(scene: Scene, plan: Plan) -> Support | None:
     other_weights = len(plan.cutoffs) > 1
     size = scene.sizes.get("d43", np.nan)
     filled = _extent(scene, size)
-    averaged = _averaged_over(scene, plan)
-    if other_weights or not count or not np.isfinite([filled, averaged]).all():
+    # empty parts of a box hold no grains
+    averaged = math.prod(length_along(scene, a, size) for a in plan.extent)
+    if other_weights or not count or not np.isfinite(filled):
         return None
     d = scene.setup.dimension
     seen = len(grid.seen)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import xcg
 from tests import ensembles, truths
 from xcg.fields.formulas import floors
 from xcg.fields.formulas.field import Support
@@ -202,3 +203,16 @@ def test_order_of_rods_at_random(axes):
     f = ds.cg.coarse_grain("nematic_order", axes=axes)
     floor = floors.order(of_scene(ds, axes=axes))
     assert floor == pytest.approx(np.abs(f.nematic_order).mean().item(), rel=0.1)
+
+
+@pytest.mark.parametrize(("axes", "grains"), [("", 27.0), ("z", None)])
+def test_empty_parts_of_a_box_hold_no_grains(axes, grains):
+    places = np.stack(np.meshgrid(*[[0.5, 1.5, 2.5]] * 3), axis=-1).reshape(-1, 3)
+    near, far = (
+        xcg.scene_from_arrays(places, diameter=np.ones(27), density=1.0, box=[[0.0, side]] * 3)
+        for side in (3.0, 20.0)
+    )
+    number = of_scene(far, axes=axes, width=1.0).grains
+    assert number == pytest.approx(of_scene(near, axes=axes, width=1.0).grains)
+    f = far.cg.coarse_grain("effective_count", axes=axes, width=1.0)
+    assert number == pytest.approx(grains or f.effective_count.max().item(), rel=0.2)
