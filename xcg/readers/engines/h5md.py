@@ -88,7 +88,7 @@ class H5md(Columnar):
 def _steps(path: str, wanted: object) -> Iterator[StepRef]:
     with opened(path) as file:
         group = _group_of(file, wanted)
-        header = StepRef(path, group.rows, step=-1, columns=(*group.columns,), units=_units(group))
+        header = StepRef(path, group.particle_count, step=-1, columns=(*group.columns,), units=_units(group))
         for k in range(group.position.count):
             ref = replace(header, offset=k, **group.position.clock(k))
             yield replace(ref, **_box(file, group, k, source_of(ref)))
@@ -132,11 +132,11 @@ class _H5mdElement:
             clock["time"] = float(self.times[k])
         return clock
 
-    def row(self, k: int, position: _H5mdElement) -> int | None:
-        """Return the row of the values at a step of the positions, None if it is absent."""
+    def index_at(self, k: int, position: _H5mdElement) -> int | None:
+        """Return the index of the values at a step of the positions, None if it is absent."""
         if self.steps is not None and position.steps is not None:
-            rows = np.flatnonzero(self.steps == position.steps[k])
-            return int(rows[0]) if rows.size else None
+            indices = np.flatnonzero(self.steps == position.steps[k])
+            return int(indices[0]) if indices.size else None
         return 0 if self.count == 1 else None
 
     def covers(self, position: _H5mdElement) -> bool:
@@ -145,10 +145,10 @@ class _H5mdElement:
             return self.count == 1
         return bool(np.isin(position.steps, self.steps).all())
 
-    def at(self, row: int, component: tuple[int, ...] = ()) -> NDArray:
+    def at(self, index: int, component: tuple[int, ...] = ()) -> NDArray:
         """Read the values of a step, or one of their components."""
-        steps = () if self.steps is None else (row,)
-        return np.asarray(self.values[(*steps, ..., *component)], float)
+        leading = () if self.steps is None else (index,)
+        return np.asarray(self.values[(*leading, ..., *component)], float)
 
 
 def _element(file: h5py.File, path: str) -> _H5mdElement | None:
@@ -215,7 +215,7 @@ class _Group:
         return self.elements["position"]
 
     @property
-    def rows(self) -> int:
+    def particle_count(self) -> int:
         """Number of particles, at most."""
         return self.position.shape[0]
 
@@ -224,14 +224,14 @@ class _Group:
         """Name of the element and the component of each column."""
         columns: dict[str, tuple[str, tuple[int, ...]]] = {}
         for name, element in self.elements.items():
-            if element.shape[:1] != (self.rows,):
+            if element.shape[:1] != (self.particle_count,):
                 continue
             if len(element.shape) == 1:
                 columns[name] = name, ()
             if len(element.shape) == 2:
                 names = vector_columns(name, min(element.shape[1], _MOST_COMPONENTS))
                 columns |= {column: (name, (k,)) for k, column in enumerate(names)}
-        # without ids the place in the datasets is the identity
+        # without ids the index in the datasets is the identity
         columns.setdefault("id", ("id", ()))
         return columns
 
@@ -241,23 +241,23 @@ class _Group:
 
         ids = self.elements.get("id")
         if ids is None:
-            return np.ones(self.rows, bool)
+            return np.ones(self.particle_count, bool)
         defined = ids.values.id.get_create_plist().fill_value_defined()
-        row = ids.row(k, self.position)
-        if defined != h5py.h5d.FILL_VALUE_USER_DEFINED or row is None:
-            return np.ones(self.rows, bool)
-        return ids.at(row) != ids.values.fillvalue
+        index = ids.index_at(k, self.position)
+        if defined != h5py.h5d.FILL_VALUE_USER_DEFINED or index is None:
+            return np.ones(self.particle_count, bool)
+        return ids.at(index) != ids.values.fillvalue
 
     def read(self, column: str, ref: StepRef) -> NDArray:
         """Read a column (rows,) of a step."""
         name, component = self.columns[column]
         if name not in self.elements:
-            return np.arange(self.rows, dtype=float)
+            return np.arange(self.particle_count, dtype=float)
         element = self.elements[name]
         dataset(self.file, element.values.name)  # checks that it holds numbers
-        row = element.row(ref.offset, self.position)
-        values = element.at(row or 0, component)
-        if row is None or values.shape != (ref.rows,):
+        index = element.index_at(ref.offset, self.position)
+        values = element.at(index or 0, component)
+        if index is None or values.shape != (ref.rows,):
             raise SceneError(f"{source_of(ref)}: {name!r} lacks the {ref.rows} rows of this step")
         return values
 
@@ -326,18 +326,18 @@ def _box(file: h5py.File, group: _Group, k: int, source: str) -> dict[str, Any]:
     if not periodic:
         return {"periodic": ""}
     edges = None
-    row = None
+    index = None
     if "edges" in file[path]:
         edges = _element(file, f"{path}/edges")
     if edges is not None:
-        row = edges.row(k, group.position)
-    if edges is None or row is None or edges.shape not in ((count,), (count, count)):
+        index = edges.index_at(k, group.position)
+    if edges is None or index is None or edges.shape not in ((count,), (count, count)):
         raise SceneError(
             f"{source}: the edges of the box have the shape {edges and edges.shape} at this step, expected "
             f"{(count,)} or {(count, count)}, as its boundary is periodic along {periodic}"
         )
     dataset(file, edges.values.name)
-    values = edges.at(row)
+    values = edges.at(index)
     if values.ndim == 1:
         values = np.diag(values)
     cell = np.zeros((3, 3))

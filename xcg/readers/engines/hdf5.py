@@ -30,7 +30,7 @@ from xcg.scene.schema import COMPONENTS
 if TYPE_CHECKING:
     import h5py
 
-_PLACES = {"{time}": r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)", "{step}": r"(\d+)"}
+_PLACEHOLDERS = {"{time}": r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)", "{step}": r"(\d+)"}
 _FIRST = ("position", "position_x", "contact_i")  # one of them tells the steps and the rows
 _STACKED = "stacked"  # steps along the first dimension; else `kind` of a step is what stands in the name of its group
 
@@ -58,12 +58,12 @@ class Hdf5(Columnar):
         if not options.extra.get("mapping"):
             with opened(paths[0]) as file:
                 raise SceneError(f"{paths[0]}: {_NO_MAPPING}; the file holds {listing(file)}")
-        places = _mapping(options)
-        time = places.pop("time", None)
-        mine = {name: path for name, path in places.items() if _of_contacts(name) is contacts}
+        mapping = _mapping(options)
+        time = mapping.pop("time", None)
+        mine = {name: path for name, path in mapping.items() if _of_contacts(name) is contacts}
         if not any(name in mine for name in _FIRST):
             lacking = "contact_i" if contacts else "position"
-            raise SceneError(f"mapping= lacks {lacking!r}; it has {', '.join(places)}")
+            raise SceneError(f"mapping= lacks {lacking!r}; it has {', '.join(mapping)}")
         scan = partial(_steps, mine=mine, time=time)
         return index_steps(paths, f"hdf5 {mine} {time}", scan, options.extra.get("timestep"))
 
@@ -71,17 +71,17 @@ class Hdf5(Columnar):
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
     ) -> dict[str, NDArray]:
         """Read the datasets of the wanted columns."""
-        places = _mapping(options)
-        first = _filled(places[_first_of(places)], ref)
+        mapping = _mapping(options)
+        first = _filled(mapping[_first_of(mapping)], ref)
         table: dict[str, NDArray] = {}
         with opened(ref.path) as file:
             for column in sorted(set(wanted)):
                 name = column
                 part = None
-                if column not in places:
+                if column not in mapping:
                     name, _, axis = column.rpartition("_")
                     part = COMPONENTS.index(axis)
-                path = _filled(places[name], ref)
+                path = _filled(mapping[name], ref)
                 if path.endswith("/*"):
                     table[column] = _numbers_of_members(file, path, first, ref)
                 else:
@@ -145,14 +145,14 @@ def _mapping(options: ReadOptions) -> dict[str, str]:
     mapping = options.extra.get("mapping")
     if not isinstance(mapping, Mapping) or not mapping:
         raise SceneError(_NO_MAPPING)
-    known = {*ALL_SLOTS, *(slot[:-2] for slot in ALL_SLOTS if slot.endswith("_x")), "time"}
+    names = {*ALL_SLOTS, *(slot[:-2] for slot in ALL_SLOTS if slot.endswith("_x")), "time"}
     for name, path in mapping.items():
-        if not isinstance(path, str) or sum(path.count(place) for place in _PLACES) > 1:
+        if not isinstance(path, str) or sum(map(path.count, _PLACEHOLDERS)) > 1:
             raise SceneError(
                 f"mapping={{{name!r}: {path!r}}}: expected a path with at most one '{{time}}' or '{{step}}'"
             )
-        likely = did_you_mean(name, known, 0.85)
-        if likely and name not in known:
+        likely = did_you_mean(name, names, 0.85)
+        if likely and name not in names:
             raise SceneError(
                 f"mapping={{{name!r}: ...}}: no variable of scenes has this name{likely}"
             )
@@ -160,8 +160,8 @@ def _mapping(options: ReadOptions) -> dict[str, str]:
 
 
 def _filled(path: str, ref: StepRef) -> str:
-    for place in _PLACES:
-        path = path.replace(place, ref.kind)
+    for placeholder in _PLACEHOLDERS:
+        path = path.replace(placeholder, ref.kind)
     return path
 
 
@@ -171,12 +171,12 @@ def _filled(path: str, ref: StepRef) -> str:
 def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[StepRef]:
     with opened(path) as file:
         first = _first_of(mine)
-        for place in _PLACES:
-            if place not in mine[first]:
+        for placeholder in _PLACEHOLDERS:
+            if placeholder not in mine[first]:
                 continue
-            for text, number in _numbers_of_groups(file, mine[first], place):
+            for text, number in _numbers_of_groups(file, mine[first], placeholder):
                 ref = StepRef(path, 0, number, kind=text, step=-1)
-                if place == "{step}":
+                if placeholder == "{step}":
                     ref = replace(ref, step=int(text), time=_time(file, time, ref))
                 yield _with_columns(file, ref, mine)
             return
@@ -196,13 +196,13 @@ def _first_of(mine: Mapping[str, str]) -> str:
     return next(name for name in _FIRST if name in mine)
 
 
-def _numbers_of_groups(file: h5py.File, path: str, place: str) -> list[tuple[str, float]]:
+def _numbers_of_groups(file: h5py.File, path: str, placeholder: str) -> list[tuple[str, float]]:
     """List the values of the placeholder in the names of a group's members, by number."""
-    before, after = path.split(place)
+    before, after = path.split(placeholder)
     parent_path, _, before = before.rpartition("/")
     after = after.partition("/")[0]
     parent = file[parent_path or "/"]
-    pattern = re.compile(re.escape(before) + _PLACES[place] + re.escape(after))
+    pattern = re.compile(re.escape(before) + _PLACEHOLDERS[placeholder] + re.escape(after))
     numbers = []
     for match in filter(None, map(pattern.fullmatch, parent)):
         with suppress(ValueError):
@@ -210,7 +210,7 @@ def _numbers_of_groups(file: h5py.File, path: str, place: str) -> list[tuple[str
     if not numbers:
         members = ", ".join(list(parent)[:5]) or "nothing"
         raise SceneError(
-            f"{file.filename}: no name like {before + place + after!r} in {parent.name!r}, which holds {members}"
+            f"{file.filename}: no name like {before + placeholder + after!r} in {parent.name!r}, which holds {members}"
         )
     return sorted(numbers, key=lambda entry: entry[1])
 
@@ -223,7 +223,7 @@ def _with_columns(
     `steps` is the length of the first dimension where that counts the steps, else 0.
     """
     names: list[str] = []
-    rows: dict[str, list[int]] = {}
+    counts_by_path: dict[str, list[int]] = {}
     first = _filled(mine[_first_of(mine)], ref)
     firsts = [dataset(file, member).shape for member in _members(file, first)]
     stacks = {shape[:2] for shape in firsts if steps}
@@ -233,15 +233,17 @@ def _with_columns(
             names.append(name)
             continue
         shapes = [dataset(file, member).shape for member in _members(file, filled)]
-        row_shapes = {_shape_of_row(name, shape, ref, filled, stacks) for shape in shapes}
-        if len(row_shapes) > 1:
+        shapes_of_row = {_shape_of_row(name, shape, ref, filled, stacks) for shape in shapes}
+        if len(shapes_of_row) > 1:
             raise SceneError(f"{source_of(ref)}: {filled!r} has the shapes {shapes}, of two kinds")
-        width, by_step = row_shapes.pop()
+        width, in_time = shapes_of_row.pop()
         names += vector_columns(name, width) or [name]
-        rows[filled] = [shape[int(by_step)] for shape in shapes]
-    if any(counts != rows[first] for counts in rows.values()):
-        raise SceneError(f"{source_of(ref)}: datasets have different numbers of rows: {rows}")
-    return replace(ref, columns=tuple(names), rows=sum(rows[first]))
+        counts_by_path[filled] = [shape[int(in_time)] for shape in shapes]
+    if any(counts != counts_by_path[first] for counts in counts_by_path.values()):
+        raise SceneError(
+            f"{source_of(ref)}: datasets have different numbers of rows: {counts_by_path}"
+        )
+    return replace(ref, columns=tuple(names), rows=sum(counts_by_path[first]))
 
 
 def _shape_of_row(
@@ -251,14 +253,14 @@ def _shape_of_row(
 
     What does not begin with steps and rows of the positions (`stacks`) does not change in time.
     """
-    by_step = shape[:2] in stacks
+    in_time = shape[:2] in stacks
     if f"{name}_x" in ALL_SLOTS and len(shape) == 2:  # as many rows as steps
-        by_step = False
-    of_row = shape[1 + int(by_step) :]
-    if shape and not of_row:
-        return 0, by_step
-    if of_row in ((2,), (3,)) and name not in ALL_SLOTS:
-        return of_row[0], by_step
+        in_time = False
+    shape_of_row = shape[1 + int(in_time) :]
+    if shape and not shape_of_row:
+        return 0, in_time
+    if shape_of_row in ((2,), (3,)) and name not in ALL_SLOTS:
+        return shape_of_row[0], in_time
     n = "(steps, n" if stacks else "(n"
     expected = f"{n})"
     if name not in ALL_SLOTS:

@@ -240,11 +240,11 @@ def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
         return lines > 0 and rest < 1.5 * ref.rows * (sample.rindex(b"\n") + 1) / lines
     samples = b""
     with open(ref.path, "rb") as file:
-        for place in (0, rest // 2, max(0, rest - _SAMPLE)):
-            file.seek(ref.offset + place)
+        for offset in (0, rest // 2, max(0, rest - _SAMPLE)):
+            file.seek(ref.offset + offset)
             block = file.read(_SAMPLE)
             begin = 0
-            if place:  # within a line
+            if offset:  # within a line
                 begin = block.find(b"\n") + 1
             samples += block[begin : block.rfind(b"\n") + 1]
         lines = samples.count(b"\n")
@@ -322,9 +322,9 @@ def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
 def _apart(names: Sequence[str]) -> tuple[str, ...]:
     """Return unique names of columns: repeated ones get the number of their column."""
     unique = list(names)
-    for place, name in enumerate(names):
-        if name in names[:place]:
-            unique[place] = f"{name}{_TWIN}{place + 1})"
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            unique[k] = f"{name}{_TWIN}{k + 1})"
     return tuple(unique)
 
 

@@ -111,8 +111,8 @@ def _read_header(header: _Header) -> StepRef:
     if mark is None or MARKS[mark] != header.order:
         header.refuse("does not begin with 'DUMPCUSTOM' or 'DUMPATOM'")
     header.file.seek(header.start + len(mark))
-    one, revision, step, rows, triclinic, *walls = header.numbers("iiqqi6i")
-    if one != 1 or not 1 <= revision <= _NEWEST:
+    mark_of_order, revision, step, count, triclinic, *walls = header.numbers("iiqqi6i")
+    if mark_of_order != 1 or not 1 <= revision <= _NEWEST:
         header.refuse(f"is of revision {revision}, expected 1 to {_NEWEST}")
     if triclinic not in (0, 1):
         header.refuse(
@@ -127,9 +127,9 @@ def _read_header(header: _Header) -> StepRef:
     if has_time:
         (time,) = header.numbers("d")
     names = tuple(header.text().split())
-    if not 0 < columns == len(names) == len(set(names)) <= _MOST_COLUMNS or rows < 0:
+    if not 0 < columns == len(names) == len(set(names)) <= _MOST_COLUMNS or count < 0:
         header.refuse(
-            f"promises {rows} rows of {columns} columns, and names {' '.join(names[:50]) or 'none'}"
+            f"promises {count} rows of {columns} columns, and names {' '.join(names[:50]) or 'none'}"
         )
     if not all(map(math.isfinite, (*bounds, *(tilts or ()), time or 0.0))):
         header.refuse("has a time or box that is not finite")
@@ -137,7 +137,7 @@ def _read_header(header: _Header) -> StepRef:
     periodic = "".join(compress(COMPONENTS, [low == high == 0 for low, high in ends]))
     ref = StepRef(
         header.path,
-        rows,
+        count,
         time=time,
         step=step,
         periodic=periodic,

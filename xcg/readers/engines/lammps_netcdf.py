@@ -54,7 +54,7 @@ def steps_of(path: str) -> Iterator[StepRef]:
     needed = {"time": (), "cell_origin": (3,), "cell_lengths": (3,), "cell_angles": (3,)}
     shapes = {name: v.shape for name, v in file.variables.items() if v.recorded}
     lacking = [name for name, shape in needed.items() if shapes.get(name) != shape]
-    columns = tuple(_places(file))
+    columns = tuple(_variables_by_column(file))
     if not columns:
         lacking.append("columns of atoms")
     if lacking:
@@ -110,37 +110,37 @@ def _box(file: ClassicFile, record: int) -> dict[str, Any]:
     return box_of_cell([[a, 0, 0], [xy, y, 0], [xz, yz, z]], low, periodic, file.path)
 
 
-def _places(file: ClassicFile) -> dict[str, tuple[str, int | None]]:
+def _variables_by_column(file: ClassicFile) -> dict[str, tuple[str, int | None]]:
     """Variable and component of each column, named as in dumps of text."""
-    places: dict[str, tuple[str, int | None]] = {}
+    by_column: dict[str, tuple[str, int | None]] = {}
     for name, values in file.variables.items():
         is_text = values.dtype.kind == "S"
         if is_text or not values.recorded or values.dims[:2] != ("frame", "atom"):
             continue
         if len(values.dims) == 2:
-            places[name] = (name, None)
+            by_column[name] = (name, None)
         if len(values.dims) == 3:
             width = values.shape[1]
             columns = [f"{name}[{k + 1}]" for k in range(min(width, 100))]
             if name in _VECTORS and width == len(COMPONENTS):
                 columns = [_VECTORS[name].format(axis) for axis in COMPONENTS]
-            places |= {column: (name, k) for k, column in enumerate(columns)}
-    return places
+            by_column |= {column: (name, k) for k, column in enumerate(columns)}
+    return by_column
 
 
 def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
     """Read columns of one step, without atoms that were lost."""
     file = ClassicFile(ref.path)
-    places = _places(file)
+    by_column = _variables_by_column(file)
 
-    names = {places[column][0] for column in wanted} | ({"id"} & {*places})
+    names = {by_column[column][0] for column in wanted} | ({"id"} & {*by_column})
     arrays = {name: file.read(name, ref.offset) for name in names}
     exists = np.ones(ref.rows, bool)
     if "id" in arrays:
         exists = arrays["id"] != _LOST
     table = {}
     for column in wanted:
-        name, k = places[column]
+        name, k = by_column[column]
         values = arrays[name]
         if k is not None:
             values = values[:, k]
@@ -212,7 +212,7 @@ class ClassicFile:
                 self.refuse("is no NetCDF in a classic format")
             version = head[3]
             self._code_of_counts = ">Q" if version == 5 else ">I"
-            self._code_of_places = ">Q" if version > 1 else ">I"
+            self._code_of_offsets = ">Q" if version > 1 else ">I"
             records = self._number(self._code_of_counts)
             names = []
             self.dims: dict[str, int] = {}
@@ -299,17 +299,17 @@ class ClassicFile:
     def _variable(self, names: Sequence[str]) -> ClassicVariable:
         """Read a variable; `names` lists the dimensions of the file."""
         name = self._name()
-        places = [self._count() for _ in range(self._count())]
-        if any(place >= len(names) for place in places):
+        indices = [self._count() for _ in range(self._count())]
+        if any(index >= len(names) for index in indices):
             self.refuse(f"gives '{name}' a dimension that it has not, and is damaged")
         attrs = self._attributes()
         dtype = self._type()
         # its size, which follows from the dimensions where it is not too large for this field
         self._number(self._code_of_counts)
-        begin = self._number(self._code_of_places)
+        begin = self._number(self._code_of_offsets)
         if begin >= _FARTHEST:
             self.refuse(f"has '{name}' at byte {begin}, and is damaged")
-        dims = tuple(names[place] for place in places)
+        dims = tuple(names[index] for index in indices)
         recorded = bool(dims) and self.dims[dims[0]] == 0
         shape = tuple(self.dims[dim] for dim in dims[recorded:])
         return ClassicVariable(name, dtype, dims, shape, attrs, begin, recorded)

@@ -115,8 +115,8 @@ def _guess(ref: StepRef, options: ReadOptions) -> tuple[str, ...]:
     return _USUAL.get(count, ())
 
 
-def _places(ref: StepRef, words: Sequence[str]) -> dict[str, int]:
-    """Return the place of the first column of each word.
+def _first_columns(ref: StepRef, words: Sequence[str]) -> dict[str, int]:
+    """Return the index of the first column of each word.
 
     Raises
     ------
@@ -139,19 +139,19 @@ def _places(ref: StepRef, words: Sequence[str]) -> dict[str, int]:
             f"{source_of(ref)}: the words {' '.join(words)!r} have {promised}, but the "
             f"file has {count}; {_way_out(ref)}"
         )
-    places: dict[str, int] = {}
-    place = 0
+    first_columns: dict[str, int] = {}
+    column = 0
     for word, count in (WORDS | {"history": history}).items():
         if word in meant:
-            places[word] = place
-            place += count
-    return places
+            first_columns[word] = column
+            column += count
+    return first_columns
 
 
 def _slots_of(ref: StepRef, words: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the column of each slot of a contact."""
-    places = _places(ref, words)
-    if "id" not in places or not {"force", "force_normal"} & set(places):
+    first_columns = _first_columns(ref, words)
+    if "id" not in first_columns or not {"force", "force_normal"} & set(first_columns):
         raise SceneError(
             f"{source_of(ref)}: the words {' '.join(words)!r} lack 'id' or 'force', which contacts need; have LIGGGHTS "
             "write both"
@@ -176,9 +176,9 @@ def _slots_of(ref: StepRef, words: Sequence[str]) -> dict[str, tuple[str, ...]]:
         for k, axis in enumerate(COMPONENTS):
             numbers[f"{slot}_{axis}"] = (word, offset + k)
     return {
-        slot: (without_index(ref.columns)[places[word] + offset],)
+        slot: (without_index(ref.columns)[first_columns[word] + offset],)
         for slot, (word, offset) in numbers.items()
-        if word in places
+        if word in first_columns
     }
 
 
@@ -196,11 +196,11 @@ def _way_out(ref: StepRef) -> str:
 
 def _check_guess(ref: StepRef, words: Sequence[str]) -> None:
     """Raise SceneError if the first rows do not fit guessed words: ids, and directions of forces and torques."""
-    places = _places(ref, words)
+    first_columns = _first_columns(ref, words)
     rows = _first_rows(ref)
     if not len(rows):
         return
-    ids = rows[:, places["id"] :][:, :3]
+    ids = rows[:, first_columns["id"] :][:, :3]
     # a pair has two ids and a flag; a contact with a wall has mesh, triangle and id
     limits = (0, 0, 1) if ref.kind == "wall" else (1, 1, 0)
     fits = bool((ids == np.rint(ids)).all() and (ids >= limits).all())
@@ -208,13 +208,13 @@ def _check_guess(ref: StepRef, words: Sequence[str]) -> None:
         fits = fits and bool((ids[:, 2] <= 1).all())
         crosses = ids[:, 2] != 0
         rows = rows[~crosses]
-    ends = rows[:, places["pos"] :][:, :6]
+    ends = rows[:, first_columns["pos"] :][:, :6]
     normal = ends[:, :3] - ends[:, 3:]
-    forces = _cosines(rows[:, places["force"] :][:, :3], normal)
+    forces = _cosines(rows[:, first_columns["force"] :][:, :3], normal)
     fits = fits and not (len(forces) and np.median(forces) < _ALONG)
-    if "torque" in places:  # many words have as many columns; without torques, none is sure
-        moments = np.cross(normal, rows[:, places["force"] :][:, :3])
-        torques = _cosines(rows[:, places["torque"] :][:, :3], moments)
+    if "torque" in first_columns:  # many words have as many columns; without torques, none is sure
+        moments = np.cross(normal, rows[:, first_columns["force"] :][:, :3])
+        torques = _cosines(rows[:, first_columns["torque"] :][:, :3], moments)
         fits = fits and len(torques) > 0 and np.median(torques) > _PARALLEL
     if not fits:
         raise SceneError(

@@ -172,22 +172,23 @@ class Mercury(Columnar):
         t point the other way.
         """
         vectors = tuple(tuple(f"{letter}{axis}" for axis in COMPONENTS) for letter in "ntc")
-        rows: dict[Any, NDArray] = read_table(
+        table: dict[Any, NDArray] = read_table(
             ref, _CONTACT[1:], None, replace(options, vectors=vectors)
         )
-        keep = _once(rows["i"], rows["j"])
+        keep = _once(table["i"], table["j"])
         if not keep.all():
             names: tuple[Any, ...] = ("i", "j", "fn", "ft", "delta", *vectors)
-            rows = {name: rows[name][keep] for name in names}
-        sign = np.where(rows["j"] < 0, -1.0, 1.0)[:, None]
-        normal, tangent, point = (rows[vector] for vector in vectors)
+            table = {name: table[name][keep] for name in names}
+        sign = np.where(table["j"] < 0, -1.0, 1.0)[:, None]
+        normal, tangent, point = (table[vector] for vector in vectors)
         return {
-            "contact_i": rows["i"],
-            "contact_j": rows["j"],
-            "contact_force": sign * (rows["fn"][:, None] * normal + rows["ft"][:, None] * tangent),
+            "contact_i": table["i"],
+            "contact_j": table["j"],
+            "contact_force": sign
+            * (table["fn"][:, None] * normal + table["ft"][:, None] * tangent),
             "contact_point": point,
             "contact_normal": sign * normal,
-            "overlap": rows["delta"],
+            "overlap": table["delta"],
         }
 
 
@@ -205,12 +206,12 @@ def _data_steps(path: str) -> Iterator[StepRef]:
                     f"{path}: expected a header 'N t xmin ymin zmin xmax ymax zmax' (2D: without z) before "
                     f"byte {scanner.offset}, found {line[:60]!r}. The file is cut short, or is damaged"
                 )
-            rows, time, *edges = header
+            row_count, time, *edges = header
             axes = len(edges) // 2
             box = [*zip(edges[:axes], edges[axes:], strict=True), (-np.inf, np.inf)][:3]
             ref = StepRef(
                 path,
-                int(rows),
+                int(row_count),
                 time,
                 box=tuple(box),
                 columns=_ROW_3D if axes == 3 else _ROW_2D,

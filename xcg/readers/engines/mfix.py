@@ -153,15 +153,15 @@ class Mfix(Vtk):
         if not ref.rows:  # files without contacts may lack the arrays
             names = self.contact_variables(ref, options)
             return {name: np.empty(variable(name).shape(0)) for name in names}
-        rows = _Rows.of(ref, options, self.targets(ref, options, contacts=True))
-        spheres = np.flatnonzero(~rows.superquadric)
-        others = np.flatnonzero(rows.superquadric)
-        frame = {name: values[spheres] for name, values in rows.frame.items()}
-        frame = each_contact_once(frame, rows.mark[spheres], rows.place[spheres])
+        raw = _RawContacts.of(ref, options, self.targets(ref, options, contacts=True))
+        spheres = np.flatnonzero(~raw.superquadric)
+        others = np.flatnonzero(raw.superquadric)
+        frame = {name: values[spheres] for name, values in raw.frame.items()}
+        frame = each_contact_once(frame, raw.mark[spheres], raw.point[spheres])
         if not len(others):
             return frame
-        sides = {name: values[others] for name, values in rows.frame.items()}
-        joined = both_sides_once(sides, rows.place[others], rows.length[others], _periods(rows))
+        sides = {name: values[others] for name, values in raw.frame.items()}
+        joined = both_sides_once(sides, raw.point[others], raw.length[others], _periods(raw))
         return {name: np.concatenate([frame[name], joined[name]]) for name in frame}
 
     def recover_periods(self, ref: StepRef, options: ReadOptions) -> dict[str, float]:
@@ -171,7 +171,7 @@ class Mfix(Vtk):
         """
         if not ref.rows:
             return {}
-        return _periods(_Rows.of(ref, options, self.targets(ref, options, contacts=True)))
+        return _periods(_RawContacts.of(ref, options, self.targets(ref, options, contacts=True)))
 
 
 def _shapes(ref: StepRef, arrays: Frame) -> Frame:
@@ -188,11 +188,11 @@ def _shapes(ref: StepRef, arrays: Frame) -> Frame:
     listed = {
         name.removeprefix(_SHAPES): numbers for name, numbers in open_step(ref).fields.items()
     }
-    phases, row = np.unique(arrays[_PHASE].astype("int64"), return_inverse=True)
+    phases, index = np.unique(arrays[_PHASE].astype("int64"), return_inverse=True)
     shapes = [listed.get(f"{phase:02d}", ()) for phase in phases]
     if not shapes or any(len(numbers) != 5 for numbers in shapes):
         return frame
-    x, y, z, m, n = np.array(shapes)[row].T
+    x, y, z, m, n = np.array(shapes)[index].T
     for axis, half_axis in zip(COMPONENTS, (x, y, z), strict=True):
         frame[f"half_axis_{axis}"] = half_axis * arrays[_SCALE]
     if (m == n).all():
@@ -201,7 +201,7 @@ def _shapes(ref: StepRef, arrays: Frame) -> Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
+class _RawContacts:
     """Contacts of a file as they stand.
 
     Attributes
@@ -210,7 +210,7 @@ class _Rows:
         Arrays by scene name.
     mark : array (n, 3) or (n,)
         What the two rows of a contact of spheres share, see `each_contact_once`.
-    place : array (n, 3)
+    point : array (n, 3)
         Contact points of superquadrics, middle of the centres of spheres (m).
     length : array (n,)
         ``FORCE_CHAIN_LENGTH`` (m), see `of_superquadrics`; zero where it is not there.
@@ -220,12 +220,12 @@ class _Rows:
 
     frame: Frame
     mark: NDArray
-    place: NDArray
+    point: NDArray
     length: NDArray
     superquadric: NDArray
 
     @classmethod
-    def of(cls, ref: StepRef, options: ReadOptions, targets: Mapping[str, str]) -> _Rows:
+    def of(cls, ref: StepRef, options: ReadOptions, targets: Mapping[str, str]) -> _RawContacts:
         header = open_step(ref)
         points = header.names[0]
         more = sorted(_OF_CONTACTS & set(header.names))
@@ -234,24 +234,24 @@ class _Rows:
         if "contact_force" not in frame:
             frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
         mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
-        place = arrays[points]
+        point = arrays[points]
         length = arrays.get(_LENGTH, np.zeros(header.rows))
         superquadric = np.zeros(header.rows, bool)
         if {_POINT, _LENGTH} <= set(arrays):
-            superquadric = of_superquadrics(place, arrays[_POINT], length)
-            place = np.where(superquadric[:, None], arrays[_POINT], place)
+            superquadric = of_superquadrics(point, arrays[_POINT], length)
+            point = np.where(superquadric[:, None], arrays[_POINT], point)
         elif any(name.startswith(_SHAPES) for name in header.fields):
             raise SceneError(
                 f"{ref.path}: contacts of superquadrics need {_POINT} and {_LENGTH}, which tell where they touch; "
                 f"found {list(ref.columns)}. Switch them on in the region's output"
             )
         if targets.get("contact_point") == points and points not in options.names:
-            frame |= {"contact_point": place, "point_is_middle": ~superquadric}
+            frame |= {"contact_point": point, "point_is_middle": ~superquadric}
         frame["row_of_file"] = np.arange(header.rows)
-        return cls(frame, mark, place, length, superquadric)
+        return cls(frame, mark, point, length, superquadric)
 
 
-def _periods(rows: _Rows) -> dict[str, float]:
+def _periods(raw: _RawContacts) -> dict[str, float]:
     return periods_of(
-        distances_of_twins(rows.frame, rows.mark, rows.place, rows.superquadric), rows.place
+        distances_of_twins(raw.frame, raw.mark, raw.point, raw.superquadric), raw.point
     )

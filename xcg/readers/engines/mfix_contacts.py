@@ -30,7 +30,7 @@ EXACT = 2**24  # ids are Float32: whole numbers are exact below
 _ROUNDING = 16 * float(np.finfo("f4").eps)
 # Points of one contact agree to this share of the distance from its point to a centre: to rounding
 # in MFiX's output.
-_SAME_PLACE = 0.5
+_SAME_POINT = 0.5
 
 
 def of_superquadrics(middle: NDArray, point: NDArray, length: NDArray) -> NDArray:
@@ -55,7 +55,7 @@ def of_superquadrics(middle: NDArray, point: NDArray, length: NDArray) -> NDArra
 
 
 def distances_of_twins(
-    contacts: Frame, mark: NDArray, place: NDArray, superquadric: NDArray
+    contacts: Frame, mark: NDArray, points: NDArray, superquadric: NDArray
 ) -> NDArray:
     """Distances (m, 3) along each axis between the points of the two rows of contacts that stand twice.
 
@@ -71,16 +71,16 @@ def distances_of_twins(
     mirrored = _twins(shared[~is_superquadric], [*pair, *_without_sign(mark, swapped)])
     first, second = swapped[mirrored].T
     first, second = np.concatenate([twins, mirrored[first != second]]).T
-    return np.abs(place[first] - place[second])
+    return np.abs(points[first] - points[second])
 
 
-def _twins(rows: NDArray, keys: Sequence[NDArray]) -> NDArray:
+def _twins(indices: NDArray, keys: Sequence[NDArray]) -> NDArray:
     """Return the two rows (m, 2) of all that stand twice, by equal keys."""
-    order, run = _runs([key[rows] for key in keys])
-    return rows[order[np.bincount(run, minlength=1)[run] == 2]].reshape(-1, 2)
+    order, run = _runs([key[indices] for key in keys])
+    return indices[order[np.bincount(run, minlength=1)[run] == 2]].reshape(-1, 2)
 
 
-def periods_of(apart: NDArray, place: NDArray) -> dict[str, float]:
+def periods_of(apart: NDArray, points: NDArray) -> dict[str, float]:
     """Periods by axis, from the distances between both points of contacts that stand twice.
 
     Parameters
@@ -88,19 +88,19 @@ def periods_of(apart: NDArray, place: NDArray) -> dict[str, float]:
     apart : array (m, 3)
         From `distances_of_twins`: a period along the axes across whose edges a contact stands, else
         nearly zero.
-    place : array (n, 3)
+    points : array (n, 3)
         Points of all contacts.
     """
     periods = {}
     for k, axis in enumerate(COMPONENTS):
         far = apart[apart[:, k] > 0.5 * apart[:, k].max(initial=0.0), k]
         # both rows are one contact, so that distances are a period to single precision, or nothing
-        if len(far) and np.ptp(far) < 1e-3 * far.max() and far.max() > 1e-3 * np.ptp(place[:, k]):
+        if len(far) and np.ptp(far) < 1e-3 * far.max() and far.max() > 1e-3 * np.ptp(points[:, k]):
             periods[axis] = float(np.median(far))
     return periods
 
 
-def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
+def each_contact_once(contacts: Frame, mark: NDArray, points: NDArray) -> Frame:
     """Drop exact copies of rows and join mirrored ones.
 
     A mirrored row has the same pair of ids swapped and `mark` negated, exactly: both rows come from
@@ -116,7 +116,7 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
         3).
     mark : array (n, 3) or (n,)
         What the two rows share: a vector that changes sign (normal force), or a scalar (overlap).
-    place : array (n, 3)
+    points : array (n, 3)
         Contact points.
 
     Returns
@@ -136,22 +136,22 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
     swapped = i > j
     marks = _without_sign(mark, swapped)
 
-    order, row = _runs([key[shared] for key in (i, j, *marks, *force.T, *place.T)])
-    first = np.diff(row, prepend=-1) > 0
+    order, run = _runs([key[shared] for key in (i, j, *marks, *force.T, *points.T)])
+    first = np.diff(run, prepend=-1) > 0
     copies = shared[order[~first]]
     shared = shared[order[first]]
 
     contact_keys = [key[shared] for key in (low, high, *marks)]
-    order, _ = _runs([*contact_keys, swapped[shared], *place[shared].T])
-    rows = shared[order]
+    order, _ = _runs([*contact_keys, swapped[shared], *points[shared].T])
+    indices = shared[order]
     contact = _runs_along([key[order] for key in contact_keys])
-    side = _runs_along([contact, swapped[rows]])
+    side = _runs_along([contact, swapped[indices]])
     # Within a contact, rows that are not swapped come first; the n-th swapped row mirrors the n-th
     # of them.
-    rank = np.arange(len(rows)) - np.searchsorted(side, side)
-    mirrored = swapped[rows] & (rank < np.bincount(contact, ~swapped[rows])[contact])
-    kept = rows[(np.searchsorted(contact, contact) + rank)[mirrored]]
-    gone = rows[mirrored]
+    rank = np.arange(len(indices)) - np.searchsorted(side, side)
+    mirrored = swapped[indices] & (rank < np.bincount(contact, ~swapped[indices])[contact])
+    kept = indices[(np.searchsorted(contact, contact) + rank)[mirrored]]
+    gone = indices[mirrored]
 
     joined = force.copy()
     joined[kept] = (force[kept] - force[gone]) / 2
@@ -161,7 +161,7 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
 
 
 def both_sides_once(
-    contacts: Frame, place: NDArray, length: NDArray, periods: dict[str, float]
+    contacts: Frame, points: NDArray, length: NDArray, periods: dict[str, float]
 ) -> Frame:
     """Join the rows of superquadrics that are sides of one contact.
 
@@ -170,7 +170,7 @@ def both_sides_once(
     contacts : Frame
         Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n,
         3).
-    place : array (n, 3)
+    points : array (n, 3)
         Contact points (m).
     length : array (n,)
         Distance from the contact point to a centre (m).
@@ -192,13 +192,13 @@ def both_sides_once(
     pair = np.unique(
         np.stack([np.minimum(i, j), np.maximum(i, j)])[:, shared], axis=1, return_inverse=True
     )[1].ravel()
-    # row that each row is joined to: the first of its pair at the same place
+    # row that each row is joined to: the first of its pair at the same point
     first = np.arange(len(i))
     while len(shared):
-        _, leader, place_in = np.unique(pair, return_index=True, return_inverse=True)
-        to = shared[leader][place_in]
-        away = np.linalg.norm(minimum_image(place[shared] - place[to], period), axis=1)
-        same = (away <= _SAME_PLACE * length[to]) | (shared == to)
+        _, leader, position_in_pair = np.unique(pair, return_index=True, return_inverse=True)
+        to = shared[leader][position_in_pair]
+        away = np.linalg.norm(minimum_image(points[shared] - points[to], period), axis=1)
+        same = (away <= _SAME_POINT * length[to]) | (shared == to)
         first[shared[same]] = to[same]
         shared = shared[~same]
         pair = pair[~same]

@@ -61,13 +61,13 @@ class Table(Columnar):
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
     ) -> list[StepRef]:
         """List the steps of particles or contacts, from the column of times where there is one."""
-        given = dict(options.names)
+        by_caller = dict(options.names)
         kind = "contacts" if contacts else "particles"
         in_order = enumerate(options.listed.get(kind, ()))
         names = [name or f"column {k}" for k, name in in_order]
         convert = "units" not in options.given
-        scan = partial(_steps, given=given, in_order=names, convert=convert)
-        key = f"table {given} {names} {convert}"
+        scan = partial(_steps, by_caller=by_caller, in_order=names, convert=convert)
+        key = f"table {by_caller} {names} {convert}"
         refs = index_steps(paths, key, scan, options.extra.get("timestep"))
         if refs:
             warn_of_unread_clock(refs[0], options)
@@ -118,13 +118,13 @@ def _begins_a_table(path: str, names: tuple[str, ...], words: Sequence[str]) -> 
     return False
 
 
-def clock_of(columns: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:
+def clock_of(columns: Sequence[str], by_caller: Mapping[str, str | None]) -> dict[str, str]:
     """Return the columns of the time and of the number of the step, as far as there are such."""
-    by_name = columns_by_name([name for name in columns if name not in given], CLOCK_SLOTS)
-    by_caller = {slot: name for name, slot in given.items() if name in columns}
-    clock = by_name | {slot: name for slot, name in by_caller.items() if slot is not None}
+    by_name = columns_by_name([name for name in columns if name not in by_caller], CLOCK_SLOTS)
+    clock_of_caller = {slot: name for name, slot in by_caller.items() if name in columns}
+    clock = by_name | {slot: name for slot, name in clock_of_caller.items() if slot is not None}
     if not clock.keys() & CLOCK_SLOTS.keys():  # in another language, told by its unit
-        times = times_by_unit(name for name in columns if name not in given)
+        times = times_by_unit(name for name in columns if name not in by_caller)
         if times:
             clock["time"] = times[0]
     # the time, if there is one, separates the steps
@@ -146,27 +146,27 @@ def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
 
 
 def _steps(
-    path: str, given: Mapping[str, str | None], in_order: Sequence[str], *, convert: bool
+    path: str, by_caller: Mapping[str, str | None], in_order: Sequence[str], *, convert: bool
 ) -> Iterator[StepRef]:
-    of_clock = partial(clock_of, given=given)
+    of_clock = partial(clock_of, by_caller=by_caller)
     if suffix_of(path) == ".parquet":
-        yield from _steps_of(scan_parquet(path, of_clock), path, given, convert=convert)
+        yield from _steps_of(scan_parquet(path, of_clock), path, by_caller, convert=convert)
         return
     below_text = False
     for table in () if in_order else scan_blocks(path, of_clock, convert=convert):
         below_text = True
-        yield from _steps_of(table, path, given, convert=convert)
+        yield from _steps_of(table, path, by_caller, convert=convert)
     if not below_text:
         table = scan_csv(path, of_clock, in_order)
         table = replace(table, time=time_of(table.comments, convert=convert))
-        yield from _steps_of(table, path, given, convert=convert)
+        yield from _steps_of(table, path, by_caller, convert=convert)
 
 
 def _steps_of(
-    table: TableIndex, path: str, given: Mapping[str, str | None], *, convert: bool
+    table: TableIndex, path: str, by_caller: Mapping[str, str | None], *, convert: bool
 ) -> Iterator[StepRef]:
     """Yield the steps of a table."""
-    columns = clock_of(table.columns, given)
+    columns = clock_of(table.columns, by_caller)
     clock = {slot: table.clock[name] for slot, name in columns.items()}
     start = None
     if "time" in clock:

@@ -289,6 +289,6 @@ def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[
     ValueError
         If the name ends otherwise, or the file holds no points.
     """
-    places = places_of(read_mesh(path), centers=centers)
+    points = places_of(read_mesh(path), centers=centers)
     dim = "cell" if centers else "point"
-    return {axis: xr.DataArray(places[:, k], dims=dim) for k, axis in enumerate(COMPONENTS)}
+    return {axis: xr.DataArray(points[:, k], dims=dim) for k, axis in enumerate(COMPONENTS)}

@@ -55,10 +55,10 @@ def list_steps(path: str) -> list[StepRef]:
         of_cells = [name + OF_CELLS for name in _members(file, "CellData")]
         columns = (_POINTS, *_members(file, "PointData"), *of_cells)
         refs = _steps(file, path)
-    rows = max((ref.rows for ref in refs), default=0)
-    if rows > len(points):
+    count = max((ref.rows for ref in refs), default=0)
+    if count > len(points):
         raise SceneError(
-            f"{path}: a step of {rows} points is promised, and the file holds {len(points)}; it was cut short. Leave "
+            f"{path}: a step of {count} points is promised, and the file holds {len(points)}; it was cut short. Leave "
             "it out, or write it again"
         )
     return [replace(ref, columns=columns, kind=KIND) for ref in refs]
@@ -81,8 +81,8 @@ def _steps(file: h5py.File, path: str) -> list[StepRef]:
         raise SceneError(f"{path}: {_ROOT}/Steps names parts beyond the {len(counts)} of the file")
     refs = []
     for step, (time, start, number) in enumerate(zip(times, starts, parts, strict=True)):
-        rows = int(counts[start : start + number].sum())
-        refs.append(StepRef(path, rows, float(time), step, offset=step))
+        count = int(counts[start : start + number].sum())
+        refs.append(StepRef(path, count, float(time), step, offset=step))
     return refs
 
 
@@ -99,10 +99,10 @@ def read_arrays(ref: StepRef, names: Sequence[str]) -> Frame:
 
 
 def _read(file: h5py.File, ref: StepRef, name: str) -> NDArray:
-    place = f"{_ROOT}/PointData/{name}"
+    path = f"{_ROOT}/PointData/{name}"
     if name == _POINTS:
-        place = f"{_ROOT}/{_POINTS}"
-    data = dataset(file, place)
+        path = f"{_ROOT}/{_POINTS}"
+    data = dataset(file, path)
     start = 0
     if f"{_ROOT}/Steps" in file:
         offsets = f"Steps/PointDataOffsets/{name}"
@@ -112,7 +112,7 @@ def _read(file: h5py.File, ref: StepRef, name: str) -> NDArray:
     values = np.asarray(data[start : start + ref.rows], "float64")
     if len(values) != ref.rows:
         raise SceneError(
-            f"{source_of(ref)}: {place} holds {len(data)} rows, and {ref.rows} from {start} on were promised; the "
+            f"{source_of(ref)}: {path} holds {len(data)} rows, and {ref.rows} from {start} on were promised; the "
             "file was cut short. Leave it out, or write it again"
         )
     return values
@@ -134,13 +134,13 @@ def _members(file: h5py.File, group: str) -> list[str]:
 
 def _cells(file: h5py.File, group: str) -> int:
     """Return the number of cells of one kind, of all steps."""
-    place = f"{group}/NumberOfCells"
-    return int(_numbers(file, place).sum()) if f"{_ROOT}/{place}" in file else 0
+    path = f"{group}/NumberOfCells"
+    return int(_numbers(file, path).sum()) if f"{_ROOT}/{path}" in file else 0
 
 
-def _numbers(file: h5py.File, place: str) -> NDArray:
+def _numbers(file: h5py.File, path: str) -> NDArray:
     """Read counts or offsets; raise SceneError for negative ones."""
-    data = dataset(file, f"{_ROOT}/{place}")
+    data = dataset(file, f"{_ROOT}/{path}")
     numbers = np.asarray(data).ravel()
     if numbers.dtype.kind not in "iu" or (numbers < 0).any() or (numbers > 1 << 48).any():
         raise SceneError(f"{file.filename}: {data.name} holds no counts; the file is damaged")

@@ -146,10 +146,10 @@ def _warn_of_unnamed(ref: StepRef, options: ReadOptions) -> None:
 
 def _numbers_of_species(ref: StepRef) -> NDArray:
     """Return the number of each row's species among the sorted words of `ref.kind`, from 1 on."""
-    place = ref.columns.index(_SPECIES)
+    column = ref.columns.index(_SPECIES)
     numbers = {word: float(number) for number, word in enumerate(ref.kind.split(), 1)}
     lines = b"".join(body_of(ref)).decode("utf-8", "replace").split("\n")
-    species = [line.split()[place] for line in lines if line.strip()]
+    species = [line.split()[column] for line in lines if line.strip()]
     unknown = set(species) - set(numbers)
     if unknown:
         raise SceneError(
@@ -194,27 +194,27 @@ def _frame(scanner: Scanner, ref: StepRef, comment: str, *, with_species: bool) 
     ref = replace(ref, offset=scanner.offset, columns=names, **_clock(entries, comment))
     ref = replace(ref, **_box(entries, source))
     may_be_words = properties is None or "species:s:1" in properties.lower()
-    place = None
+    column = None
     if with_species and may_be_words and _SPECIES in names:
-        place = names.index(_SPECIES)
-    words = _pass_rows(scanner, ref, place)
+        column = names.index(_SPECIES)
+    words = _pass_rows(scanner, ref, column)
     ref = replace(ref, length=scanner.offset - ref.offset, kind=" ".join(sorted(words)))
     check_rows(ref, ref.length)
     return ref
 
 
-def _pass_rows(scanner: Scanner, ref: StepRef, place: int | None) -> set[str]:
-    """Move behind the rows of a frame, and return the species in a column (`place`)."""
+def _pass_rows(scanner: Scanner, ref: StepRef, column: int | None) -> set[str]:
+    """Move behind the rows of a frame, and return the species in a column (`column`)."""
     species: set[bytes] = set()
     for row in range(ref.rows):
-        words = scanner.line().split(None, (place or 0) + 1)
+        words = scanner.line().split(None, (column or 0) + 1)
         if not words:
             raise SceneError(
                 f"{ref.path}: {row} rows from byte {ref.offset}, but the frame promises {ref.rows}; "
                 "the file is cut off or damaged. Write it again, or leave it out"
             )
-        if place is not None:
-            species.add(words[min(place, len(words) - 1)])
+        if column is not None:
+            species.add(words[min(column, len(words) - 1)])
         if len(species) > _MOST_SPECIES:
             raise SceneError(
                 f"{ref.path}: more than {_MOST_SPECIES} species from byte {ref.offset}; {_NO_SPECIES}"

@@ -62,7 +62,7 @@ class Yade(Columnar):
         return index_steps(paths, "yade", _steps)
 
 
-_KNOWN = {*chain(*Yade.PARTICLE_SLOTS.values(), *Yade.CONTACT_SLOTS.values())}
+_NAMES_READ = {*chain(*Yade.PARTICLE_SLOTS.values(), *Yade.CONTACT_SLOTS.values())}
 
 
 def _steps(path: str) -> Iterator[StepRef]:
@@ -116,7 +116,7 @@ def _columns(comments: Sequence[Sequence[str]], values: int, path: str) -> tuple
             f"{values} values of the first row, found {listed}"
         )
     return max(
-        reversed(fitting), key=lambda columns: len(_KNOWN & set(map(names.canonical, columns)))
+        reversed(fitting), key=lambda columns: len(_NAMES_READ & set(map(names.canonical, columns)))
     )
 
 
