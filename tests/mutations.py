@@ -837,7 +837,7 @@ TABLE = [
     ),
     # --- readers ---
     Mutation(
-        "readers/engines/mercury.py", 'np.where(rows["j"] < 0, -1.0, 1.0)', 'np.where(rows["j"] < 0, 1.0, -1.0)',
+        "readers/engines/mercury.py", 'np.where(table["j"] < 0, -1.0, 1.0)', 'np.where(table["j"] < 0, 1.0, -1.0)',
         "test_contact_forces_are_read",
     ),
     Mutation(

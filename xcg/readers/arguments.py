@@ -188,5 +188,5 @@ def _likely(option: str, reader: Engine) -> str:
         return f"; it is read from a column, names={{'its column': {option!r}}}"
     of_time = "timestep" if "timestep" in reader.OPTIONS else "times"
     synonyms = dict.fromkeys(_OF_TIME, of_time) | {"format": "engine"}
-    known = [argument.name for argument in fields(Arguments) if argument.name != "engine_options"]
-    return did_you_mean(option, [*known, *reader.OPTIONS], synonyms=synonyms)
+    names = [argument.name for argument in fields(Arguments) if argument.name != "engine_options"]
+    return did_you_mean(option, [*names, *reader.OPTIONS], synonyms=synonyms)

@@ -26,8 +26,8 @@ from xcg.readers.names import (
 from xcg.scene.schema import COMPONENTS, variable
 
 # positions and what they follow from where fractions of the box are given
-PLACES = (("position", "scaled"), ("unwrapped_position", "unwrapped_scaled"))
-PARTICLE_VECTORS = (*PLACES[0], *PLACES[1], "image", "velocity", "angular_velocity")
+POSITIONS = (("position", "scaled"), ("unwrapped_position", "unwrapped_scaled"))
+PARTICLE_VECTORS = (*POSITIONS[0], *POSITIONS[1], "image", "velocity", "angular_velocity")
 _FORCES = ("contact_force", "normal_force", "tangential_force")
 CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal", "contact_branch", "end_i", "end_j")
 
@@ -138,10 +138,10 @@ def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
 def _likely(ref: StepRef, slot: str) -> str | None:
     """Return the column that a slot which is not filled may have; None without such a column."""
     table = CONTACTS if slot in CONTACT_SLOTS else PARTICLES
-    known = {*chain(*map(aliases_of, table.values()))}
+    recognised = {*chain(*map(aliases_of, table.values()))}
     variable_name = vector_of(slot)
     axis = slot[-1] if variable_name != slot else ""
-    free = [column for column in ref.columns if canonical(column) not in known]
+    free = [column for column in ref.columns if canonical(column) not in recognised]
     of_axis = [
         column
         for column in free
@@ -169,13 +169,13 @@ def axes_of(filled: Iterable[str], slot: str) -> list[str]:
 
 def own_variables(ref: StepRef, options: ReadOptions, dim: str) -> dict[str, str]:
     """Columns that `names` maps to variables of the caller's own, of particles or of contacts."""
-    known = {*ALL_SLOTS, *CLOCK_SLOTS}
+    standard = {*ALL_SLOTS, *CLOCK_SLOTS}
     return {
         slot: column
         for column, slot in options.names.items()
         if slot is not None
         and column in ref.columns
-        and slot not in known
+        and slot not in standard
         and variable(slot).dims == (dim,)
     }
 

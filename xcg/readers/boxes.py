@@ -48,9 +48,9 @@ def boxes_of(
     if box is None and refs[0].box is not None:
         box = [ref.box for ref in refs]
     boxes = domain_of(box, lattice, shear_rate, setup.periodic, len(refs), times, setup.scales[0])
-    for step, ref in enumerate(refs):
-        of_step = {name: values[step] for name, values in boxes.items()}
-        Lattice.of(of_step, setup.periodic, source_of(ref))  # checks it
+    for index, ref in enumerate(refs):
+        box_of_step = {name: values[index] for name, values in boxes.items()}
+        Lattice.of(box_of_step, setup.periodic, source_of(ref))  # checks it
     if arguments.box is not None and refs[0].box is None:
         _compare_with_contacts(boxes["box"], arguments, listing, setup)
     return boxes
@@ -60,15 +60,15 @@ def _compare_with_contacts(
     box: NDArray, arguments: Arguments, listing: Listing, setup: Setup
 ) -> None:
     """Warn if edges (t, 3, 2) that the caller gave are not a period apart, as contacts across an edge show."""
-    parts = [(row, part) for row, step in enumerate(listing.steps) for part in _parts_of(step)]
-    row, ref = next(((row, part) for row, part in parts if part.rows), (0, None))
+    parts = [(index, part) for index, step in enumerate(listing.steps) for part in _parts_of(step)]
+    index, ref = next(((index, part) for index, part in parts if part.rows), (0, None))
     if ref is None:
         return
     periods = _periods_from([ref], arguments, listing, setup.periodic)
     unit = setup.scales[0]
     for axis in setup.periodic:
         k = COMPONENTS.index(axis)
-        length = float(box[row, k, 1] - box[row, k, 0]) / unit
+        length = float(box[index, k, 1] - box[index, k, 0]) / unit
         if axis in periods and abs(length - periods[axis]) > _SAME_PERIOD * periods[axis]:
             warn_user(
                 f"box=: the period along {axis!r} is {length:.7g}, and contacts on both sides of an edge in "

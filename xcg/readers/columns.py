@@ -15,7 +15,7 @@ from xcg.common.messages import SceneError
 from xcg.readers.assigned import (
     CONTACT_VECTORS,
     PARTICLE_VECTORS,
-    PLACES,
+    POSITIONS,
     assign,
     axes_of,
     lacks,
@@ -209,17 +209,17 @@ class Columnar(Engine):
     def explained(self, ref: StepRef, options: ReadOptions, lengths: Sequence[str]) -> list[str]:
         """Return unread columns that follow from others: radii of the volumes, or distances of the positions."""
         read = self.particle_columns(ref, options)
-        places = [read[f"position_{axis}"] for axis in axes_of(read, "position")]
+        positions = [read[f"position_{axis}"] for axis in axes_of(read, "position")]
         if "volume" not in read or not lengths:
             return []
-        table = self.read_columns(ref, [read["volume"], *places, *lengths], ref.rows, options)
+        table = self.read_columns(ref, [read["volume"], *positions, *lengths], ref.rows, options)
         radius = np.cbrt(0.75 / np.pi * table[read["volume"]])
-        squares = [table[column] ** 2 for column in places]
-        known = [radius, 2 * radius, np.sqrt(sum(squares)), np.sqrt(sum(squares[:2]))]
+        squares = [table[column] ** 2 for column in positions]
+        radii_and_distances = [radius, 2 * radius, np.sqrt(sum(squares)), np.sqrt(sum(squares[:2]))]
         return [
             column
             for column in lengths
-            if any(np.allclose(table[column], values, _EXPLAINED) for values in known)
+            if any(np.allclose(table[column], values, _EXPLAINED) for values in radii_and_distances)
         ]
 
     def columns_read(self, ref: StepRef, options: ReadOptions, *, contacts: bool) -> dict[str, str]:
@@ -231,8 +231,8 @@ class Columnar(Engine):
         """Read the particles of one step from the columns of `particle_columns`."""
         columns = self.particle_columns(ref, options)
         values = self._read_slots(ref, columns, PARTICLE_VECTORS, options)
-        for place, scaled in PLACES:
-            _add_unscaled(values, place, scaled, ref)
+        for position, scaled in POSITIONS:
+            _add_unscaled(values, position, scaled, ref)
         for axis in axes_of(values, "position"):  # not periodic where only the others are unwrapped
             if axes_of(values, "unwrapped_position"):
                 values.setdefault(f"unwrapped_position_{axis}", values[f"position_{axis}"])
@@ -289,16 +289,16 @@ def _with_motion(filled: Mapping[str, str], ref: StepRef) -> dict[str, str]:
     """
     filled = dict(filled)
     for axis in COMPONENTS:
-        if not {f"{slot}_{axis}" for slot in PLACES[0]} & filled.keys():
-            for slot, unwrapped in zip(*PLACES, strict=True):
+        if not {f"{slot}_{axis}" for slot in POSITIONS[0]} & filled.keys():
+            for slot, unwrapped in zip(*POSITIONS, strict=True):
                 if f"{unwrapped}_{axis}" in filled:
                     filled[f"{slot}_{axis}"] = filled[f"{unwrapped}_{axis}"]
-    needed = {axis for slot in PLACES[0] for axis in axes_of(filled, slot)}
+    needed = {axis for slot in POSITIONS[0] for axis in axes_of(filled, slot)}
     if ref.periodic is not None:
         needed &= {*ref.periodic}
-    known = {axis for slot in PLACES[1] for axis in axes_of(filled, slot)}
+    axes = {axis for slot in POSITIONS[1] for axis in axes_of(filled, slot)}
     unused = ["image_", "unwrapped_"]
-    if known and needed <= known:
+    if axes and needed <= axes:
         unused.remove("unwrapped_")
     elif needed <= {*axes_of(filled, "image")}:
         unused.remove("image_")
@@ -329,7 +329,7 @@ def unify_sizes(frame: Frame, ref: StepRef) -> None:
             )
 
 
-def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: StepRef) -> None:
+def _add_unscaled(values: dict[str, NDArray], position: str, scaled: str, ref: StepRef) -> None:
     """Add the components of a place that follow from fractions of the box.
 
     Raises
@@ -338,7 +338,7 @@ def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: Step
         If the header has no box, or a fraction that a tilted box takes is missing.
     """
     for k, axis in enumerate(COMPONENTS):
-        if f"{place}_{axis}" in values or f"{scaled}_{axis}" not in values:
+        if f"{position}_{axis}" in values or f"{scaled}_{axis}" not in values:
             continue
         if ref.box is None:
             raise SceneError(
@@ -346,7 +346,7 @@ def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: Step
                 "BOUNDS'; dump x y z"
             )
         low, high = ref.box[k]
-        values[f"{place}_{axis}"] = low + values[f"{scaled}_{axis}"] * (high - low)
+        values[f"{position}_{axis}"] = low + values[f"{scaled}_{axis}"] * (high - low)
         for other, vector in zip(COMPONENTS, ref.lattice or (), strict=False):
             if other == axis or not vector[k]:
                 continue
@@ -355,7 +355,7 @@ def _add_unscaled(values: dict[str, NDArray], place: str, scaled: str, ref: Step
                     f"{source_of(ref)}: the box is tilted, so {axis} follows from {axis}s and "
                     f"{other}s, and {other}s is missing; dump xs ys zs, or x y z"
                 )
-            values[f"{place}_{axis}"] += values[f"{scaled}_{other}"] * vector[k]
+            values[f"{position}_{axis}"] += values[f"{scaled}_{other}"] * vector[k]
 
 
 def _tells_of(axis: str, filled: Mapping[str, str], ref: StepRef, options: ReadOptions) -> bool:

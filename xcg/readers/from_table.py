@@ -110,9 +110,9 @@ def scene_from_table(
     if nameless:
         has_contacts = contacts is not None
         report_missing_ids(refs["particles"][0], len(steps), contacts=has_contacts)
-    given = read_options.of_kind("particles").names
-    columns = clock_of(refs["particles"][0].columns, given).values()
-    if len(steps) > 1 and not {*columns} & {*given}:
+    names_of_particles = read_options.of_kind("particles").names
+    columns = clock_of(refs["particles"][0].columns, names_of_particles).values()
+    if len(steps) > 1 and not {*columns} & {*names_of_particles}:
         cause = cause_by_column(next(iter(columns)), in_order=False)
         compared = dict.fromkeys((steps[0], steps[-1], steps[1]))
         warn_if_none_recurs(((f"step {key:g}", grains[key][1]) for key in compared), cause)
@@ -127,10 +127,10 @@ def scene_from_table(
         engines["contacts"] = _InMemory(table)
         arrays |= _contacts(table, steps, of_kind)
     _check_arguments(options, arrays)
-    known = [name for name, value in options.items() if value is not None]
+    arguments = [name for name, value in options.items() if value is not None]
     for kind, engine in engines.items():
         ref, of_kind = refs[kind][0], read_options.of_kind(kind)
-        warn_of_columns(engine, ref, of_kind, contacts=kind == "contacts", known=known)
+        warn_of_columns(engine, ref, of_kind, contacts=kind == "contacts", arguments=arguments)
         warn_of_unread_clock(ref, of_kind)
     scene = scene_from_arrays(**(options | arrays))
     if contacts is not None:
@@ -252,19 +252,19 @@ def _with_vectors(
         keys = _numbers(table, clock[0], "contacts")
     apart = np.zeros((len(table), 3))
     for key, (_, frame) in grains.items():
-        rows = np.flatnonzero(keys == key)
+        indices = np.flatnonzero(keys == key)
         position = frame["position"]
         ids = frame.get("particle_id", np.arange(len(position)))
-        unknown = np.setdiff1d(np.concatenate([ids_i[rows], ids_j[rows]]), ids)
+        unknown = np.setdiff1d(np.concatenate([ids_i[indices], ids_j[indices]]), ids)
         if unknown.size:
             raise SceneError(
                 f"contacts: no particle has id {unknown[0]:g} at {key:g}; drop its contacts or add it"
             )
         order = np.argsort(ids)
         sorted_ids = ids[order].astype(int)
-        i = order[rows_of(sorted_ids, ids_i[rows].astype(int))]
-        j = order[rows_of(sorted_ids, ids_j[rows].astype(int))]
-        apart[rows] = lattices[key].shortest(position[i] - position[j])
+        i = order[rows_of(sorted_ids, ids_i[indices].astype(int))]
+        j = order[rows_of(sorted_ids, ids_j[indices].astype(int))]
+        apart[indices] = lattices[key].shortest(position[i] - position[j])
     x, y, z = unit_vectors(apart).T
     along = _numbers(table, normal, "contacts")
     across = np.zeros(len(table))
@@ -283,11 +283,11 @@ def _with_vectors(
     return table.drop(columns=[*magnitudes.values()]).assign(**forces)
 
 
-def _table(rows: Any) -> pd.DataFrame:
+def _table(data: Any) -> pd.DataFrame:
     """Return rows as a table whose index is a column if it has a name."""
-    if not isinstance(rows, pd.DataFrame) and hasattr(rows, "to_pandas"):
-        rows = rows.to_pandas()  # of pyarrow
-    table = pd.DataFrame(rows)
+    if not isinstance(data, pd.DataFrame) and hasattr(data, "to_pandas"):
+        data = data.to_pandas()  # of pyarrow
+    table = pd.DataFrame(data)
     if any(table.index.names):
         table = table.reset_index()
     if table.columns.nlevels > 1:  # ("position", "x") is position_x, and ("radius", "") radius
@@ -330,10 +330,10 @@ def _at_steps(
     if not np.isfinite(times).all():
         return contacts
     joint = without_noise(np.concatenate([steps, times]))
-    of_step = dict(zip(joint[: len(steps)].tolist(), steps, strict=True))
-    distinct, place = np.unique(joint[len(steps) :], return_inverse=True)
-    known = np.array([of_step.get(time, time) for time in distinct.tolist()])
-    return contacts.assign(**{column: known[place]})
+    time_of_step = dict(zip(joint[: len(steps)].tolist(), steps, strict=True))
+    distinct, index = np.unique(joint[len(steps) :], return_inverse=True)
+    matched = np.array([time_of_step.get(time, time) for time in distinct.tolist()])
+    return contacts.assign(**{column: matched[index]})
 
 
 def _stacked(frames: Sequence[Frame]) -> dict[str, list[NDArray]]:
@@ -356,13 +356,13 @@ def _frames(
         key = next(iter(clocks.values()))
         runs = [*data.groupby(key).indices.values()]
     frames = {}
-    for k, rows in enumerate(runs):
+    for k, indices in enumerate(runs):
         clock_of_step = {
-            word: float(values[rows[0]]) for word, values in clocks.items() if len(rows)
+            word: float(values[indices[0]]) for word, values in clocks.items() if len(indices)
         }
         step = int(clock_of_step.get("step", k))
-        ref = StepRef(what, len(rows), step=step, columns=tuple(data.columns))
-        engine = _InMemory(data.iloc[rows])
+        ref = StepRef(what, len(indices), step=step, columns=tuple(data.columns))
+        engine = _InMemory(data.iloc[indices])
         read = engine.read_contacts if contacts else engine.read_particles
         frames[next(iter(clock_of_step.values()), 0.0)] = clock_of_step, read(ref, options)
     return frames

@@ -71,16 +71,18 @@ class _Variable(BackendArray):
     def _step(self, t: int) -> NDArray:
         series = self.series
         steps = self.series.steps[t : t + 1]
-        rows = self.series.rows()
+        lengths = self.series.lengths()
         boxes = {name: values[t : t + 1] for name, values in series.boxes.items()}
 
         def particles() -> Frame:
-            return read_particle_chunk(series.source, steps, series.particle_types, rows[0], boxes)
+            return read_particle_chunk(
+                series.source, steps, series.particle_types, lengths[0], boxes
+            )
 
         def contacts() -> Frame:
             beside = _kept((self.token, t, "particles"), particles)
             return read_contact_chunk(
-                series.source, steps, series.contact_names, rows[1], boxes, beside
+                series.source, steps, series.contact_names, lengths[1], boxes, beside
             )
 
         read = particles if self.name in series.particle_types else contacts

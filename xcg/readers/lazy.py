@@ -33,7 +33,7 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
     parts = [slice(stop - size, stop) for stop, size in zip(stops, sizes, strict=True)]
     token = tokenize(series.token(), sizes)
 
-    rows, contact_rows = series.rows()
+    particle_count, contact_count = series.lengths()
     graphs: dict[str, tuple[HighLevelGraph, str]] = {}
     # what few fields need is read by tasks of its own; contacts are checked against the particles,
     # which come last
@@ -51,7 +51,7 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
         reader = source.reading(unwanted=tuple(others))
         for k, part in enumerate(parts):
             edges = {name: values[part] for name, values in boxes.items()}
-            task = partial(read_particle_chunk, reader, steps[part], types, rows, edges)
+            task = partial(read_particle_chunk, reader, steps[part], types, particle_count, edges)
             tasks[layer, k] = (task,)
         graph = HighLevelGraph({layer: tasks}, {layer: set()})
         graphs |= dict.fromkeys(wanted, (graph, layer))
@@ -62,7 +62,7 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
         for k, part in enumerate(parts):
             edges = {name: values[part] for name, values in boxes.items()}
             task = partial(
-                read_contact_chunk, source, steps[part], series.contact_names, contact_rows, edges
+                read_contact_chunk, source, steps[part], series.contact_names, contact_count, edges
             )
             tasks[layer, k] = (task, (particles, k))
         graph = HighLevelGraph(

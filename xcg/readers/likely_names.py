@@ -91,16 +91,16 @@ def vectors_among(columns: Iterable[str]) -> list[tuple[str, dict[str, str]]]:
     names = list(dict.fromkeys(columns))
     vectors: list[tuple[str, dict[str, str]]] = []
     for column in names:
-        for place, letter in enumerate(column):
+        for k, letter in enumerate(column):
             for axes in ("xyz", "XYZ", "012", "123"):
                 parts = {
-                    axis: column[:place] + mark + column[place + 1 :]
+                    axis: column[:k] + mark + column[k + 1 :]
                     for axis, mark in zip(COMPONENTS, axes, strict=True)
                 }
                 present = {axis: name for axis, name in parts.items() if name in names}
                 is_first = column == next(iter(present.values()), "") and letter in axes
                 if is_first and len(present) >= (2 if axes.isalpha() else 3):
-                    stem = _OF_LAMMPS.sub("", column[:place] + column[place + 1 :])
+                    stem = _OF_LAMMPS.sub("", column[:k] + column[k + 1 :])
                     vectors.append((canonical(stem), present))
     counts = Counter(chain(*(parts.values() for _, parts in vectors)))
     return [

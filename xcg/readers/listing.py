@@ -59,10 +59,10 @@ class Listing:
     def skipped(self) -> list[str]:
         """Causes of faults that were tolerated, each with its place."""
         causes = []
-        for place, cause in self.left_out.items():
+        for source, cause in self.left_out.items():
             # most causes name the file; of one with many steps, the place goes on " from byte ..."
-            if place.partition(" from byte ")[0] not in cause:
-                cause = f"{place}: {cause}"
+            if source.partition(" from byte ")[0] not in cause:
+                cause = f"{source}: {cause}"
             causes.append(cause)
         return causes
 
@@ -86,7 +86,10 @@ def list_series(arguments: Arguments) -> Listing:
             "time": arguments.times,
         }
         refs = index_files(
-            reader, files, options, [what for what, given in may_differ.items() if given is None]
+            reader,
+            files,
+            options,
+            [what for what, argument in may_differ.items() if argument is None],
         )
         time_unit = 1.0
         if arguments.units is not None:
@@ -97,7 +100,7 @@ def list_series(arguments: Arguments) -> Listing:
             times, start = times_given(times, "times=", time_unit)
         missing = arguments.missing
         if left_out and missing == "empty":
-            _check_contacts_are_known(left_out, files)
+            _check_contacts_are_complete(left_out, files)
         if left_out and missing == "raise":
             missing = "skip"
         named_alone = all([str(paths)] == files[kind] for kind, paths in arguments.paths.items())
@@ -118,12 +121,12 @@ def _with_wall_columns(step: Step, reader: Engine, options: ReadOptions) -> Step
     return replace(step, contacts=(*step.contacts, *walls))
 
 
-def _check_contacts_are_known(
+def _check_contacts_are_complete(
     left_out: Mapping[str, str], files: Mapping[str, Sequence[str]]
 ) -> None:
     """Raise SceneError if a damaged file of contacts could be taken for one without contacts."""
     contacts = [path for kind in ("contacts", "walls") for path in files.get(kind, ())]
-    damaged = [place for place in left_out if any(place.startswith(path) for path in contacts)]
+    damaged = [source for source in left_out if any(source.startswith(path) for path in contacts)]
     if damaged:
         raise SceneError(
             f"{left_out[damaged[0]]} -- With missing='empty' its step would count as one without "

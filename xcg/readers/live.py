@@ -215,10 +215,10 @@ def _pairs(
         raise SceneError(
             f"contacts={dict(columns)!r} lacks {lacking}: expected {' '.join(needed)}, and of granular styles p1 p2 p3"
         )
-    rows = {name: len(values) for name, values in table.items()}
-    if len(set(rows.values())) > 1:
+    counts = {name: len(values) for name, values in table.items()}
+    if len(set(counts.values())) > 1:
         raise SceneError(
-            f"the computes of contacts have different numbers of rows, {rows}: give both 'cutoff radius'"
+            f"the computes of contacts have different numbers of rows, {counts}: give both 'cutoff radius'"
         )
     i, j = (table[name].astype("int64") for name in _PARTNERS)
     branch = np.stack([table[name] for name in _BRANCH], axis=1)
@@ -228,9 +228,9 @@ def _pairs(
     # a partner may be on another process: the point follows from the sizes of both
     every = {name: _gathered(lmp, atoms[name]) for name in ("particle_id", "position", "diameter")}
     order = np.argsort(every["particle_id"])
-    row_i, row_j = (order[rows_of(every["particle_id"][order], ids)] for ids in (i, j))
+    index_i, index_j = (order[rows_of(every["particle_id"][order], ids)] for ids in (i, j))
     radius = every["diameter"] / 2
-    point = contact_points(every["position"][row_i], branch, radius[row_i], radius[row_j])
+    point = contact_points(every["position"][index_i], branch, radius[index_i], radius[index_j])
     return dict(zip(WALL_CONTACTS, (i, j, force, point), strict=True))
 
 
@@ -243,12 +243,12 @@ def _wall(lmp: Any, fix: str, number: int, ids: NDArray) -> dict[str, NDArray]:
         raise SceneError(
             f"walls: fix {fix!r} does not tell its contacts; define it as 'fix {fix} ... wall/gran ... contacts'"
         )
-    rows = np.flatnonzero(values[: len(ids), 0] > 0)
+    touching = np.flatnonzero(values[: len(ids), 0] > 0)
     return {
-        "contact_i": ids[rows].astype("int64"),
-        "contact_j": np.full(len(rows), FIRST_WALL - number),
-        "contact_force": values[rows, 1:4],
-        "contact_point": values[rows, 4:7],
+        "contact_i": ids[touching].astype("int64"),
+        "contact_j": np.full(len(touching), FIRST_WALL - number),
+        "contact_force": values[touching, 1:4],
+        "contact_point": values[touching, 4:7],
     }
 
 

@@ -99,17 +99,17 @@ def _columns_by_name(
     by_alias: dict[str, dict[int, str]] = {}
     for slot, aliases in slots:
         by_alias[slot] = {}
-        for place, alias in enumerate(map(canonical, aliases)):
+        for rank, alias in enumerate(map(canonical, aliases)):
             for column in _named(slot, alias, named.get(alias, ())):
-                by_alias[slot].setdefault(place, column)
+                by_alias[slot].setdefault(rank, column)
     filled = {}
     for slot, candidates in by_alias.items():
-        places = list(candidates)
+        ranks = list(candidates)
         vector, _, axis = slot.rpartition("_")
         if axis in COMPONENTS:
             siblings = [by_alias.get(f"{vector}_{other}", {}) for other in COMPONENTS]
             counts = Counter(sorted(chain(*siblings)))
-            places = [place for place, _ in counts.most_common(1) if place in candidates]
-        if places:
-            filled[slot] = candidates[places[0]]
+            ranks = [rank for rank, _ in counts.most_common(1) if rank in candidates]
+        if ranks:
+            filled[slot] = candidates[ranks[0]]
     return filled

@@ -196,15 +196,15 @@ def pair_steps(
     are a pair.
     """
     refs = indexed["particles"]
-    known: list[float | None] = [ref.time for ref in refs]
+    times_of_steps: list[float | None] = [ref.time for ref in refs]
     if times is not None:
         numbers = floats(times)
         if numbers.shape != (len(refs),) or not np.isfinite(numbers).all():
             raise SceneError(
                 f"times has shape {numbers.shape}: expected {len(refs)} finite numbers, one a step"
             )
-        known = numbers.tolist()
-    steps = [Step(ref, (), time) for ref, time in zip(refs, known, strict=True)]
+        times_of_steps = numbers.tolist()
+    steps = [Step(ref, (), time) for ref, time in zip(refs, times_of_steps, strict=True)]
     read = partial(read_step, reader, options)
     steps = order_steps(steps, "particles", read, timed=times is not None)
     read = partial(read, contacts=True)
@@ -213,7 +213,7 @@ def pair_steps(
             continue
         # with the caller's times, contacts that are listed as the particles are have the same ones
         alike = times is not None and [ref.step for ref in indexed[kind]] == [r.step for r in refs]
-        clock = known if alike else [ref.time for ref in indexed[kind]]
+        clock = times_of_steps if alike else [ref.time for ref in indexed[kind]]
         others = [Step(ref, (), time) for ref, time in zip(indexed[kind], clock, strict=True)]
         others = order_steps(others, kind, read, timed=alike)
         refs_of_kind = [step.particles for step in others]
@@ -237,17 +237,17 @@ def _join(
     is_one_pair = together and named and len(steps) == len(others) == 1
     unnumbered = others[-1].step < 0  # files that tell neither, in their order
     in_order = alike or (not timed and (is_one_pair or unnumbered))
-    rows = {ref.step: row for row, ref in enumerate(others)}
+    number_to_index = {ref.step: index for index, ref in enumerate(others)}
     if in_order and len(steps) == len(others):
         partner = list(range(len(others)))
     elif timed:
         partner = _same_time(steps, others)
     else:
-        partner = [rows.get(step.particles.step, -1) for step in steps]
+        partner = [number_to_index.get(step.particles.step, -1) for step in steps]
     paired = list(zip(steps, partner, strict=True))
     matched = set(partner)
-    lacking = [source_of(step.particles) for step, row in paired if row < 0]
-    unused = [source_of(ref) for row, ref in enumerate(others) if row not in matched]
+    lacking = [source_of(step.particles) for step, index in paired if index < 0]
+    unused = [source_of(ref) for index, ref in enumerate(others) if index not in matched]
     if lacking and (missing == "raise" or len(lacking) == len(steps)):
         raise SceneError(
             f"{kind}: no step with the same {same} for {len(lacking)} of {len(steps)} steps of the particles "
@@ -255,7 +255,7 @@ def _join(
             "leave such steps out with missing='skip'; if nothing touches in them, pass missing='empty'"
         )
     if lacking and missing == "skip":
-        paired = [(step, row) for step, row in paired if row >= 0]
+        paired = [(step, index) for step, index in paired if index >= 0]
         warn_user(
             f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}"
         )
@@ -263,11 +263,11 @@ def _join(
         warn_user(
             f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}"
         )
-    _warn_of_boxes([(step, others[row]) for step, row in paired if row >= 0], kind)
+    _warn_of_boxes([(step, others[index]) for step, index in paired if index >= 0], kind)
     joined = []
-    for step, row in paired:
-        if row >= 0:
-            step = replace(step, contacts=(*step.contacts, others[row]))
+    for step, index in paired:
+        if index >= 0:
+            step = replace(step, contacts=(*step.contacts, others[index]))
         joined.append(step)
     return joined
 

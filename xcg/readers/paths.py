@@ -187,7 +187,7 @@ class _Index:
 
     def __init__(self, folder: str, kind: str) -> None:
         self._folder = folder
-        self._place, self._entries = _load(folder, kind)
+        self._path, self._entries = _load(folder, kind)
         self._is_new = False
 
     def add_steps(
@@ -214,7 +214,7 @@ class _Index:
 
     def save(self) -> None:
         """Write the entries of files that exist, if one is new, whole or not at all."""
-        if self._place is None or not self._is_new:
+        if self._path is None or not self._is_new:
             return
         entries = {
             name: entry
@@ -222,11 +222,11 @@ class _Index:
             if os.path.exists(os.path.join(self._folder, name))
         }
         text = json.dumps(entries, separators=(",", ":")).encode()
-        part = self._place.with_name(f".{self._place.name}.{os.getpid()}")
+        part = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         with suppress(OSError):  # a cache that cannot be written is ignored
-            self._place.parent.mkdir(parents=True, exist_ok=True)
+            self._path.parent.mkdir(parents=True, exist_ok=True)
             part.write_bytes(hashlib.sha256(text).hexdigest().encode() + b"\n" + text)
-            os.replace(part, self._place)
+            os.replace(part, self._path)
 
 
 def _stamp(path: str) -> dict[str, Any]:
@@ -330,9 +330,9 @@ def _load(folder: str, kind: str) -> tuple[Path | None, dict[str, Any]]:
     if os.environ.get("XCG_INDEX_CACHE", "1") == "0" or home.startswith("~"):
         return None, {}
     name = hashlib.sha256(f"{_VERSION} {kind} {os.path.realpath(folder)}".encode()).hexdigest()
-    place = Path(home) / "xcg" / f"index-{name[:32]}.json"
+    index_path = Path(home) / "xcg" / f"index-{name[:32]}.json"
     with suppress(OSError, ValueError):
-        digest, _, text = place.read_bytes().partition(b"\n")
+        digest, _, text = index_path.read_bytes().partition(b"\n")
         if hashlib.sha256(text).hexdigest().encode() == digest:
-            return place, dict(json.loads(text))
-    return place, {}
+            return index_path, dict(json.loads(text))
+    return index_path, {}

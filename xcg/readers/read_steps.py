@@ -234,10 +234,10 @@ class Source:
 
 def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
     """Raise SceneError for a frame that lacks variables of other steps, or has more rows than its header promised."""
-    rows = len(next(iter(frame.values())))
-    if rows > ref.rows:
+    count = len(next(iter(frame.values())))
+    if count > ref.rows:
         raise SceneError(
-            f"{source_of(ref)}: {rows} rows, but its index promised {ref.rows} at most"
+            f"{source_of(ref)}: {count} rows, but its index promised {ref.rows} at most"
         )
     lacking = [name for name in names if name not in frame]
     if lacking:
@@ -247,7 +247,7 @@ def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
 
 
 def _chunk(
-    steps: Sequence[Step], read: Callable[[int, Step], Frame], types: Mapping[str, Any], rows: int
+    steps: Sequence[Step], read: Callable[[int, Step], Frame], types: Mapping[str, Any], length: int
 ) -> Frame:
     """Frames of the steps of a chunk, padded; steps at fault are empty where faults are tolerated."""
     frames = []
@@ -258,7 +258,7 @@ def _chunk(
             if not errors.record_fault(step.particles.step, error):
                 raise
             frames.append(_nothing(types))
-    return stack(frames, list(types), rows)
+    return stack(frames, list(types), length)
 
 
 def _nothing(types: Mapping[str, Any]) -> Frame:
@@ -267,7 +267,7 @@ def _nothing(types: Mapping[str, Any]) -> Frame:
 
 
 def read_particle_chunk(
-    source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int, boxes: Frame
+    source: Source, steps: Sequence[Step], types: Mapping[str, Any], length: int, boxes: Frame
 ) -> Frame:
     """Particles of the steps of a chunk, padded."""
 
@@ -281,14 +281,14 @@ def read_particle_chunk(
         _require(frame, list(types), ref)
         return frame
 
-    return _chunk(steps, read, types, rows)
+    return _chunk(steps, read, types, length)
 
 
 def read_contact_chunk(
     source: Source,
     steps: Sequence[Step],
     names: Sequence[str],
-    rows: int,
+    length: int,
     boxes: Frame,
     particles: Frame,
 ) -> Frame:
@@ -298,4 +298,4 @@ def read_contact_chunk(
         box = {name: values[t] for name, values in boxes.items()}
         return source.contacts(step.contacts, names, frame_of(particles, t), box)
 
-    return _chunk(steps, read, {name: variable(name).dtype for name in names}, rows)
+    return _chunk(steps, read, {name: variable(name).dtype for name in names}, length)

@@ -66,16 +66,16 @@ class Report:
         options: ReadOptions,
         *,
         contacts: bool,
-        known: Iterable[str] = (),
+        arguments: Iterable[str] = (),
     ) -> Report | None:
         """Return the report on a step; None where the engine does not say what it reads.
 
-        Variables that the caller gives as arguments are `known`.
+        `arguments`: variables that the caller gives as arguments.
         """
         read = engine.columns_read(ref, options, contacts=contacts)
         if read is None:
             return None
-        read |= {f"{name}=": name for name in known}
+        read |= {f"{name}=": name for name in arguments}
         dropped = frozenset(name for name, target in options.names.items() if target is None)
         unread = [name for name in ref.columns if name not in read and name not in dropped]
         return cls(
@@ -131,9 +131,9 @@ class Report:
 
     def _suspects(self) -> list[str]:
         """Return columns with "wall" or "force" in their names, that are no part of a vector of the file."""
-        known = {*chain(*self._arrays_of_walls().values())}
+        harmless = {*chain(*self._arrays_of_walls().values())}
         if self.contacts:  # the length of a vector that is read
-            known |= {*magnitudes_among(self.unread, {}).values()}
+            harmless |= {*magnitudes_among(self.unread, {}).values()}
         aliases = self._slots()
         slots_of_file = {aliases.get(canonical(name)) for name in (*self.read, *self.unread)}
         suspects = []
@@ -142,7 +142,7 @@ class Report:
             of_vector = {f"{slot[:-2]}_{axis}" for axis in COMPONENTS}
             if not self.contacts and _ON_GRAINS.fullmatch(canonical(name)):
                 continue
-            if name not in known and not of_vector <= slots_of_file:
+            if name not in harmless and not of_vector <= slots_of_file:
                 suspects.append(name)
         return suspects
 
@@ -188,8 +188,10 @@ class Report:
 
     def likely(self) -> dict[str, str]:
         """Return the variable that each column which is not read resembles."""
-        known = {*self._suspects(), *chain(*self._arrays_of_walls().values())}
-        others = [name for name in self.unread if name not in known and not name.endswith(OF_CELLS)]
+        reported = {*self._suspects(), *chain(*self._arrays_of_walls().values())}
+        others = [
+            name for name in self.unread if name not in reported and not name.endswith(OF_CELLS)
+        ]
         return resembling(others, self.read.values(), contacts=self.contacts)
 
     def _resembling(self) -> str:
@@ -218,8 +220,8 @@ class Report:
         columns = {slot.removesuffix("_x"): column for column, slot in self.read.items()}
         others = {"contact_force", "tangential_force"}
         is_part = "normal_force" in columns and not others & columns.keys()
-        is_known = "tangential_force" in self.likely().values()
-        if not (self.contacts and self.whole_forces and is_part) or is_known:
+        has_tangential = "tangential_force" in self.likely().values()
+        if not (self.contacts and self.whole_forces and is_part) or has_tangential:
             return ""
         return (
             f"only normal forces ({columns['normal_force']}, ...) were found, and are taken as the contact forces; "
@@ -247,10 +249,10 @@ def warn_of_columns(
     options: ReadOptions,
     *,
     contacts: bool,
-    known: Iterable[str] = (),
+    arguments: Iterable[str] = (),
 ) -> None:
     """Warn of what is not understood in the header of a step: its columns, and other words."""
-    report = Report.of(engine, ref, options, contacts=contacts, known=known)
+    report = Report.of(engine, ref, options, contacts=contacts, arguments=arguments)
     if report is not None:
         if "volume" in report.read.values() and not contacts:
             sizes = [

@@ -55,19 +55,19 @@ class Series:
     contact_names: Sequence[str]
     times: NDArray | None = None
 
-    def rows(self) -> tuple[int, int]:
-        """Rows of particles and of contacts in a step, at most."""
+    def lengths(self) -> tuple[int, int]:
+        """Largest numbers of particles and of contacts in a step."""
         contacts = max(sum(ref.rows for ref in step.contacts) for step in self.steps)
         return max(step.particles.rows for step in self.steps), contacts
 
     def arrays(self) -> dict[str, tuple[Any, tuple[int, ...]]]:
         """Type and shape of all variables."""
-        particle_rows, contact_rows = self.rows()
-        rows = {name: (dtype, particle_rows) for name, dtype in self.particle_types.items()}
-        rows |= {name: (variable(name).dtype, contact_rows) for name in self.contact_names}
+        particles, contacts = self.lengths()
+        types = {name: (dtype, particles) for name, dtype in self.particle_types.items()}
+        types |= {name: (variable(name).dtype, contacts) for name in self.contact_names}
         return {
             name: (dtype, (len(self.steps), *variable(name, dtype).shape(n)))
-            for name, (dtype, n) in rows.items()
+            for name, (dtype, n) in types.items()
         }
 
     def token(self) -> str:
@@ -103,12 +103,12 @@ def make_series(
     source = Source(
         listing.reader, listing.options, setup, frozen, arguments.allow_unknown, listing.once
     )
-    rows = {step.particles: row for row, step in enumerate(steps)}
+    index_of = {step.particles: index for index, step in enumerate(steps)}
     types: dict[str, Any] = {}
     first: Frame | None = None  # of a small series, whose motion is compared with its times
     frames: list[Frame] = []
     for ref in list(ends):
-        box = {name: values[rows[ref]] for name, values in boxes.items()}
+        box = {name: values[index_of[ref]] for name, values in boxes.items()}
         frame = source.complete(ends.pop(ref), ref, box)
         if not frames:
             images = Lattice.of(box, setup.periodic, source_of(ref))
@@ -180,10 +180,10 @@ def _frozen_species(frozen: int | Sequence[int], ends: Mapping[StepRef, Frame]) 
         raise SceneError(f"frozen={frozen!r}: expected the number of a species, or several")
     frozen_species = tuple(int(number) for number in numbers)
     species = [frame.get("species", np.empty(0)) for frame in ends.values()]
-    known = np.unique(np.concatenate(species))
-    absent = sorted(set(frozen_species) - set(known.tolist()))
+    present = np.unique(np.concatenate(species))
+    absent = sorted(set(frozen_species) - set(present.tolist()))
     if absent:
-        listed = ", ".join(str(int(number)) for number in known) or "none"
+        listed = ", ".join(str(int(number)) for number in present) or "none"
         raise SceneError(
             f"frozen={frozen!r}: no particle is of species {absent[0]}; there are {listed}"
         )

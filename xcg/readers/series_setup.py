@@ -31,10 +31,10 @@ def setup_of(arguments: Arguments, listing: Listing, ends: Mapping[StepRef, Fram
         plane = plane or flat or "xy"
     periodic = _within(plane, first.periodic or "")
     if arguments.periodic is not None:
-        given = periodic_axes(arguments.periodic, plane)
+        axes = periodic_axes(arguments.periodic, plane)
         if first.periodic is not None:
-            _check_periodic(_within(plane, given), periodic, source_of(first))
-        periodic = given
+            _check_periodic(_within(plane, axes), periodic, source_of(first))
+        periodic = axes
         if arguments.box is None and first.box is None:
             # no file tells the period across a layer, and nothing depends on it
             periodic = _within(flat, periodic)
@@ -61,15 +61,15 @@ def setup_of(arguments: Arguments, listing: Listing, ends: Mapping[StepRef, Fram
     return setup
 
 
-def _check_periodic(given: str, named: str, source: str) -> None:
+def _check_periodic(axes: str, of_header: str, source: str) -> None:
     """Warn if axes are given as periodic that are not so in the header; others may be left out on purpose."""
-    added = "".join(axis for axis in given if axis not in named)
+    added = "".join(axis for axis in axes if axis not in of_header)
     if added:
         names = "names no periodic axis"
-        if named:
-            names = f"names {named!r}"
+        if of_header:
+            names = f"names {of_header!r}"
         warn_user(
-            f"periodic={given!r}, but the header of {source} {names}: grains at both edges of {added!r} become "
+            f"periodic={axes!r}, but the header of {source} {names}: grains at both edges of {added!r} become "
             "neighbours; leave periodic= out, unless the header is wrong"
         )
 

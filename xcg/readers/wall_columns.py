@@ -75,9 +75,9 @@ def wall_contacts_from(
     parts: dict[str, list[NDArray]] = {name: [] for name in WALL_CONTACTS}
     for number, columns in enumerate(walls.values()):
         values = np.stack([table[column] for column in columns], axis=1)
-        row = np.flatnonzero((values != 0).any(axis=1))
-        parts["contact_i"].append(table[of_ids][row])
-        parts["contact_j"].append(np.full(len(row), FIRST_WALL - number))
-        parts["contact_force"].append(values[row, :3])
-        parts["contact_point"].append(values[row, 3:])
+        touching = np.flatnonzero((values != 0).any(axis=1))
+        parts["contact_i"].append(table[of_ids][touching])
+        parts["contact_j"].append(np.full(len(touching), FIRST_WALL - number))
+        parts["contact_force"].append(values[touching, :3])
+        parts["contact_point"].append(values[touching, 3:])
     return {name: np.concatenate(arrays) for name, arrays in parts.items()}

@@ -88,7 +88,9 @@ class H5md(Columnar):
 def _steps(path: str, wanted: object) -> Iterator[StepRef]:
     with opened(path) as file:
         group = _group_of(file, wanted)
-        header = StepRef(path, group.particle_count, step=-1, columns=(*group.columns,), units=_units(group))
+        header = StepRef(
+            path, group.particle_count, step=-1, columns=(*group.columns,), units=_units(group)
+        )
         for k in range(group.position.count):
             ref = replace(header, offset=k, **group.position.clock(k))
             yield replace(ref, **_box(file, group, k, source_of(ref)))

@@ -205,5 +205,5 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
             )
         blocks.append(np.frombuffer(body, f"{order}f8", count, at + 4).reshape(-1, wide))
         at += 4 + 8 * count
-    rows = np.concatenate(blocks)
-    return {name: rows[:, ref.columns.index(name)].astype("f8") for name in set(wanted)}
+    table = np.concatenate(blocks)
+    return {name: table[:, ref.columns.index(name)].astype("f8") for name in set(wanted)}

@@ -235,8 +235,8 @@ class _RawContacts:
             frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
         mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
         point = arrays[points]
-        length = arrays.get(_LENGTH, np.zeros(header.rows))
-        superquadric = np.zeros(header.rows, bool)
+        length = arrays.get(_LENGTH, np.zeros(header.count))
+        superquadric = np.zeros(header.count, bool)
         if {_POINT, _LENGTH} <= set(arrays):
             superquadric = of_superquadrics(point, arrays[_POINT], length)
             point = np.where(superquadric[:, None], arrays[_POINT], point)
@@ -247,7 +247,7 @@ class _RawContacts:
             )
         if targets.get("contact_point") == points and points not in options.names:
             frame |= {"contact_point": point, "point_is_middle": ~superquadric}
-        frame["row_of_file"] = np.arange(header.rows)
+        frame["row_of_file"] = np.arange(header.count)
         return cls(frame, mark, point, length, superquadric)
 
 

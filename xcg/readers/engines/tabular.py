@@ -172,7 +172,7 @@ def _steps_of(
     if "time" in clock:
         clock["time"], start = read_clock(clock["time"], columns["time"], path, convert=convert)
     for first, stop in runs_of(clock, table.rows, path):
-        offset, length = table.place(first, stop)
+        offset, length = table.extent(first, stop)
         ref = StepRef(
             path,
             stop - first,

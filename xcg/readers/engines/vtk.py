@@ -46,7 +46,7 @@ def is_xml(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
 def open_step(ref: StepRef) -> Header:
     """Read the header of a step again, which has to be as it was."""
     header = read_header(ref.path, lines=ref.kind == LINES)
-    if header.rows != ref.rows or (ref.rows and header.names != ref.columns):
+    if header.count != ref.rows or (ref.rows and header.names != ref.columns):
         raise SceneError(
             f"{ref.path}: the file changed after the scene was opened; open the scene again"
         )

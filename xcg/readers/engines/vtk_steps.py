@@ -94,7 +94,7 @@ def _scan(path: str, *, lines: bool) -> list[StepRef]:
     return [
         StepRef(
             path,
-            rows=header.rows,
+            rows=header.count,
             step=-1,
             time=header.time,
             columns=header.names,

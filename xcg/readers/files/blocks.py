@@ -54,16 +54,16 @@ def scan_blocks(
     """
     with scanned(path) as scanner:
         head = scanner.sample(PIECE).split(b"\n")[:_MOST_TEXT]
-        place = _place_of_names(head)
-        if place is None:
+        names_at = _line_of_names(head)
+        if names_at is None:
             return
-        header, units = head[place], _units(head[place + 1])
+        header, units = head[names_at], _units(head[names_at + 1])
         separator, names = split_header(_plain(header).decode("utf-8-sig", "replace"))
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise SceneError(
-                f"{path}: line {place + 1} names {twice!r} twice, below a line of groups; read it by "
-                f"xcg.scene_from_table(pandas.read_csv({path!r}, sep={separator!r}, header=[{place - 1}, {place}]))"
+                f"{path}: line {names_at + 1} names {twice!r} twice, below a line of groups; read it by "
+                f"xcg.scene_from_table(pandas.read_csv({path!r}, sep={separator!r}, header={[names_at - 1, names_at]}))"
             )
         if units:
             names = tuple(
@@ -107,15 +107,15 @@ def row_below_text(path: str) -> tuple[tuple[str, ...], list[str]]:
     """Return the names of the columns below a text, or above units, and the words of the first row; else nothing."""
     with scanned(path) as scanner:
         head = scanner.sample(PIECE).split(b"\n")[:_MOST_TEXT]
-    place = _place_of_names(head)
-    if place is None:
+    names_at = _line_of_names(head)
+    if names_at is None:
         return (), []
-    _, names = split_header(_plain(head[place]).decode("utf-8-sig", "replace"))
-    row = head[place + 1 + bool(_units(head[place + 1]))]
+    _, names = split_header(_plain(head[names_at]).decode("utf-8-sig", "replace"))
+    row = head[names_at + 1 + bool(_units(head[names_at + 1]))]
     return names, [cell.decode("utf-8", "replace") for cell in cells_of(row)]
 
 
-def _place_of_names(lines: Sequence[bytes]) -> int | None:
+def _line_of_names(lines: Sequence[bytes]) -> int | None:
     """Return the line that names the columns below a text, or above units; None for other files."""
     rows = [cells_of(line) for line in lines]
     texts = [sum(not is_number(cell) for cell in row) for row in rows]
@@ -146,11 +146,11 @@ def _is_row(cells: Sequence[bytes], count: int) -> bool:
 def _units(line: bytes) -> list[str]:
     """Return the units in a line of units alone, "" for a column without; nothing for another line."""
     words = [cell.decode("utf-8", "replace").strip("[]() \"'") for cell in cells_of(line)]
-    known = [parse_unit(word) for word in words]
+    parsed = [parse_unit(word) for word in words]
     is_unit = [
-        unit is not None or word in ("", "1", "#") for word, unit in zip(words, known, strict=True)
+        unit is not None or word in ("", "1", "#") for word, unit in zip(words, parsed, strict=True)
     ]
-    if not all(is_unit) or not any(unit and any(unit[1]) for unit in known):
+    if not all(is_unit) or not any(unit and any(unit[1]) for unit in parsed):
         return []
     return ["" if word in ("", "-", "1", "#") else word for word in words]
 

@@ -62,10 +62,10 @@ class RecordField:
 
     def __getitem__(self, selection: Any) -> Any:
         """Read some of the values."""
-        of_rows = selection if isinstance(selection, tuple) else (selection,)
+        indices = selection if isinstance(selection, tuple) else (selection,)
         count = self._records.ndim
-        values = self._records.fields(self._field)[of_rows[:count]]
-        return values[(..., *of_rows[count:])]
+        values = self._records.fields(self._field)[indices[:count]]
+        return values[(..., *indices[count:])]
 
 
 def dataset(file: h5py.File, path: str) -> h5py.Dataset:
@@ -80,8 +80,8 @@ def dataset(file: h5py.File, path: str) -> h5py.Dataset:
     import h5py
 
     data = file.get(path)
-    place, _, field = path.rpartition("/")
-    records = file.get(place) if place and data is None else None
+    path_of_records, _, field = path.rpartition("/")
+    records = file.get(path_of_records) if path_of_records and data is None else None
     if isinstance(records, h5py.Dataset) and field in (records.dtype.names or ()):
         data = RecordField(records, field)
     elif not isinstance(data, h5py.Dataset):

@@ -117,8 +117,8 @@ def read_header(path: str, *, lines: bool = False) -> Header:
         has_arrays = bool(contents.arrays[_CELL_DATA])
         of_lines = lines and has_arrays and are_lines(path, [*contents.cells])
         if of_lines:
-            rows = contents.number_of("LINES")
-            piece = Piece(rows, tuple(contents.arrays_of(_CELL_DATA, rows, path)))
+            count = contents.number_of("LINES")
+            piece = Piece(count, tuple(contents.arrays_of(_CELL_DATA, count, path)))
         else:
             piece = _points_of(contents, path)
         time = _time_of(file, contents, path)
@@ -147,7 +147,7 @@ class _Contents:
     ----------
     dataset : str
         Kind of the data set.
-    rows : int
+    point_count : int
         Number of points.
     points : Array or None
         Their coordinates.
@@ -163,7 +163,7 @@ class _Contents:
     """
 
     dataset: str = ""
-    rows: int = 0
+    point_count: int = 0
     points: Array | None = None
     cells: dict[str, _CellsOfKind] = field(default_factory=dict)
     types: Array | None = None
@@ -176,31 +176,31 @@ class _Contents:
         """Return the number of cells of some kinds, of all kinds by default."""
         return sum(self.cells[kind].count for kind in kinds or self.cells if kind in self.cells)
 
-    def arrays_of(self, place: str, rows: int, path: str) -> list[Array]:
+    def arrays_of(self, section: str, expected: int, path: str) -> list[Array]:
         """Return the arrays of points or cells. Raise SceneError unless all have so many rows."""
-        for array, count in self.arrays[place]:
-            if count != rows:
+        for array, count in self.arrays[section]:
+            if count != expected:
                 raise SceneError(
-                    f"{path}: '{array.name}' has {count} rows below {place}, expected {rows}; the file is damaged. "
-                    "Leave it out, or write it again"
+                    f"{path}: '{array.name}' has {count} rows below {section}, expected {expected}; the file is "
+                    "damaged. Leave it out, or write it again"
                 )
-        return [array for array, _ in self.arrays[place]]
+        return [array for array, _ in self.arrays[section]]
 
 
 def _points_of(contents: _Contents, path: str) -> Piece:
     """Describe the points, with the arrays of cells where each point has one vertex."""
-    rows = contents.rows
+    count = contents.point_count
     if contents.points is None:
         raise SceneError(f"{path}: it has no section POINTS; the file was cut short, leave it out")
-    arrays = [contents.points, *contents.arrays_of(_POINTS, rows, path)]
+    arrays = [contents.points, *contents.arrays_of(_POINTS, count, path)]
     of_points = {array.name for array in arrays}
     of_cells = [array for array, _ in contents.arrays[_CELL_DATA] if array.name not in of_points]
     cells = contents.cells.get("VERTICES") or contents.cells.get("CELLS")
-    if cells and cells.vertices and cells.count == contents.number_of() == rows:
-        fitting = contents.arrays_of(_CELL_DATA, rows, path)
+    if cells and cells.vertices and cells.count == contents.number_of() == count:
+        fitting = contents.arrays_of(_CELL_DATA, count, path)
         arrays += [replace(array, of_vertices=True) for array in fitting if array in of_cells]
-        return Piece(rows, tuple(arrays), cells.vertices)
-    return Piece(rows, tuple(arrays), unread=tuple(array.name for array in of_cells))
+        return Piece(count, tuple(arrays), cells.vertices)
+    return Piece(count, tuple(arrays), unread=tuple(array.name for array in of_cells))
 
 
 def _mesh_of(file: BinaryIO, contents: _Contents, path: str) -> str:
@@ -215,8 +215,8 @@ def _mesh_of(file: BinaryIO, contents: _Contents, path: str) -> str:
 
 def _time_of(file: BinaryIO, contents: _Contents, path: str) -> float | None:
     """Return the time in an array of the file that is called TimeValue or TIME."""
-    for array, rows in contents.arrays[""]:
-        if array.name.lower() in TIMES and rows == array.components == 1:
+    for array, count in contents.arrays[""]:
+        if array.name.lower() in TIMES and count == array.components == 1:
             time = float(read_values(file, path, array, _ENCODING, 1)[0])
             return time if math.isfinite(time) else None
     return None
@@ -228,32 +228,34 @@ def _time_of(file: BinaryIO, contents: _Contents, path: str) -> float | None:
 def _contents_of(scanner: _Scanner) -> _Contents:
     """Find the sections of a file; of data sets that are no points, the kind alone."""
     contents = _Contents()
-    place = ""
+    section = ""
     while words := scanner.words():
         keyword = words[0].upper()
         if _is_array_of_field(words):
-            contents.arrays[place] += scanner.array_of_field(words)
+            contents.arrays[section] += scanner.array_of_field(words)
         elif keyword == "DATASET":
             contents.dataset = _word(words, 1).upper()
             if contents.dataset not in _READ:
                 return contents
         elif keyword == "POINTS":
-            contents.rows = scanner.number(words, 1)
-            contents.points = scanner.values("Points", scanner.kind(words, 2), contents.rows, 3)
+            contents.point_count = scanner.number(words, 1)
+            contents.points = scanner.values(
+                "Points", scanner.kind(words, 2), contents.point_count, 3
+            )
         elif keyword in _CELLS:
             contents.cells[keyword] = _cells(scanner, words)
         elif keyword == "CELL_TYPES":
             contents.types = scanner.values("CELL_TYPES", "Int32", scanner.number(words, 1))
         elif keyword in (_POINTS, _CELL_DATA):
-            place = keyword
-            contents.counts[place] = scanner.number(words, 1)
+            section = keyword
+            contents.counts[section] = scanner.number(words, 1)
         elif keyword == "METADATA":
             scanner.skip_metadata()
         elif keyword == "LOOKUP_TABLE":  # of colours
             scanner.values("colours", scanner.colours, scanner.number(words, 2), 4)
         elif keyword != "FIELD":
-            rows = contents.counts[place]
-            contents.arrays[place].append((_attribute(scanner, words, rows), rows))
+            count = contents.counts[section]
+            contents.arrays[section].append((_attribute(scanner, words, count), count))
     return contents
 
 
@@ -272,7 +274,7 @@ def _cells(scanner: _Scanner, words: list[str]) -> _CellsOfKind:
     return _CellsOfKind(count, None)
 
 
-def _attribute(scanner: _Scanner, words: list[str], rows: int) -> Array:
+def _attribute(scanner: _Scanner, words: list[str], count: int) -> Array:
     """Find an array of a section of its own."""
     keyword = words[0].upper()
     name = unquote(_word(words, 1))
@@ -282,13 +284,13 @@ def _attribute(scanner: _Scanner, words: list[str], rows: int) -> Array:
         if len(words) > 3:
             components = scanner.number(words, 3)
         scanner.after("LOOKUP_TABLE")
-        return scanner.values(name, kind, rows, components)
+        return scanner.values(name, kind, count, components)
     if keyword == "COLOR_SCALARS":
-        return scanner.values(name, scanner.colours, rows, scanner.number(words, 2))
+        return scanner.values(name, scanner.colours, count, scanner.number(words, 2))
     if keyword == "TEXTURE_COORDINATES":
-        return scanner.values(name, scanner.kind(words, 3), rows, scanner.number(words, 2))
+        return scanner.values(name, scanner.kind(words, 3), count, scanner.number(words, 2))
     if keyword in _ONE_ARRAY:
-        return scanner.values(name, scanner.kind(words, 2), rows, _ONE_ARRAY[keyword])
+        return scanner.values(name, scanner.kind(words, 2), count, _ONE_ARRAY[keyword])
     raise scanner.damaged(f"{' '.join(words)[:60]!r} begins no section")
 
 
@@ -302,8 +304,8 @@ def _is_array_of_field(words: list[str]) -> bool:
     )
 
 
-def _word(words: list[str], place: int) -> str:
-    return words[place] if place < len(words) else ""
+def _word(words: list[str], k: int) -> str:
+    return words[k] if k < len(words) else ""
 
 
 class _Scanner:
@@ -361,23 +363,23 @@ class _Scanner:
             raise self.damaged(f"a line {keyword} is missing")
         return words
 
-    def number(self, words: list[str], place: int) -> int:
+    def number(self, words: list[str], k: int) -> int:
         """Return the count in a line of words."""
-        text = _word(words, place)
+        text = _word(words, k)
         if not (text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS):
-            raise self.damaged(f"{' '.join(words)[:60]!r} has no count as its word {place + 1}")
+            raise self.damaged(f"{' '.join(words)[:60]!r} has no count as its word {k + 1}")
         return int(text)
 
-    def kind(self, words: list[str], place: int) -> str:
+    def kind(self, words: list[str], k: int) -> str:
         """Return the type that a line of words names."""
-        text = _word(words, place).lower()
+        text = _word(words, k).lower()
         if text not in _KINDS:
             raise self.damaged(
-                f"{' '.join(words)[:60]!r} has no type of numbers as its word {place + 1}"
+                f"{' '.join(words)[:60]!r} has no type of numbers as its word {k + 1}"
             )
         return _KINDS[text]
 
-    def values(self, name: str, kind: str, rows: int, components: int = 1) -> Array:
+    def values(self, name: str, kind: str, count: int, components: int = 1) -> Array:
         """Return the place of values, and skip them."""
         if not 1 <= components <= MOST_COMPONENTS:
             raise self.damaged(
@@ -387,7 +389,7 @@ class _Scanner:
         form = "ascii"
         if self._binary:
             form = "binary"
-            self._skip_bytes(name, rows * components * np.dtype(TYPES[kind]).itemsize)
+            self._skip_bytes(name, count * components * np.dtype(TYPES[kind]).itemsize)
         else:
             self._skip_text()
         return Array(name, components, kind, form, start, self._at)
@@ -396,16 +398,16 @@ class _Scanner:
         """Return an array of a field with its rows; nothing if it holds bits or strings."""
         name = unquote(words[0])
         components = self.number(words, 1)
-        rows = self.number(words, 2)
+        count = self.number(words, 2)
         kind = words[3].lower()
         if kind in _KINDS:
-            return [(self.values(name, _KINDS[kind], rows, components), rows)]
+            return [(self.values(name, _KINDS[kind], count, components), count)]
         if kind == "bit" and self._binary:
-            self._skip_bytes(name, (rows * components + 7) // 8)
+            self._skip_bytes(name, (count * components + 7) // 8)
         elif kind == "bit":
             self._skip_text()
         else:
-            self._skip_strings(name, rows * components)
+            self._skip_strings(name, count * components)
         return []
 
     def _skip_bytes(self, name: str, size: int) -> None:

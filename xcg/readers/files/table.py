@@ -121,7 +121,7 @@ def parse_table(
         If rows are missing, too many, or too short or long, or a wanted value is not a number; the
         message names the first such row, counted from 0.
     """
-    places = np.array([columns.index(column) for column in wanted], np.int64)
+    wanted_columns = np.array([columns.index(column) for column in wanted], np.int64)
     if isinstance(body, bytes):
         text = body
         length = len(text)
@@ -129,7 +129,7 @@ def parse_table(
     table = _ColumnBuffer(wanted, vectors, rows or 0)
     filled = 0
     parsed = 0  # bytes
-    parse = partial(_parse, len(columns), places, separator.encode())
+    parse = partial(_parse, len(columns), wanted_columns, separator.encode())
     results = _in_order(whole_lines(body, name), parse, threads)
     for block, (numbers, whole) in results:
         end = filled + numbers.shape[1]
@@ -164,13 +164,13 @@ class _ColumnBuffer:
     """Columns and vectors that are filled block by block."""
 
     def __init__(
-        self, wanted: Sequence[str], vectors: Iterable[tuple[str, ...]], rows: int
+        self, wanted: Sequence[str], vectors: Iterable[tuple[str, ...]], capacity: int
     ) -> None:
-        self._places = {column: place for place, column in enumerate(wanted)}
-        self._vectors = {vector: memory.empty((rows, len(vector))) for vector in vectors}
-        alone = self._places.keys() - set(chain(*self._vectors))
-        self._columns = {column: memory.empty(rows) for column in alone}
-        self._rows = rows
+        self._order = {column: n for n, column in enumerate(wanted)}
+        self._vectors = {vector: memory.empty((capacity, len(vector))) for vector in vectors}
+        alone = self._order.keys() - set(chain(*self._vectors))
+        self._columns = {column: memory.empty(capacity) for column in alone}
+        self._capacity = capacity
 
     def write(self, first: int, numbers: NDArray, share: float) -> None:
         """Write a block (wanted, n) behind the rows before it.
@@ -183,18 +183,18 @@ class _ColumnBuffer:
             Part of the body that ends with it, 0 where this is not known.
         """
         end = first + numbers.shape[1]
-        if end > self._rows:
+        if end > self._capacity:
             # it doubles at least where rows are not as long as expected, as copying it for each
             # block would take most of the time
-            rows = end + self._rows
+            capacity = end + self._capacity
             if 0 < share <= 1:
-                rows = max(rows, int(_MARGIN * end / share))
-            self._resize(first, rows)
+                capacity = max(capacity, int(_MARGIN * end / share))
+            self._resize(first, capacity)
         for column, array in self._columns.items():
-            array[first:end] = numbers[self._places[column]]
+            array[first:end] = numbers[self._order[column]]
         for vector, array in self._vectors.items():
             for k, column in enumerate(vector):
-                array[first:end, k] = numbers[self._places[column]]
+                array[first:end, k] = numbers[self._order[column]]
 
     def columns(self, filled: int) -> Columns:
         """Return the columns by name and the vectors by their tuples, without rows that were not filled."""
@@ -206,16 +206,16 @@ class _ColumnBuffer:
         }
         return {**self._columns, **components, **self._vectors}
 
-    def _resize(self, filled: int, rows: int) -> None:
+    def _resize(self, filled: int, capacity: int) -> None:
         """Copy the filled rows to arrays of another length."""
 
         def resized(array: NDArray) -> NDArray:
-            longer = memory.empty((rows, *array.shape[1:]))
+            longer = memory.empty((capacity, *array.shape[1:]))
             longer[:filled] = array[:filled]
             return longer
 
         self._replace(resized)
-        self._rows = rows
+        self._capacity = capacity
 
     def _replace(self, change: Callable[[NDArray], NDArray]) -> None:
         """Change the arrays one after the other, so that memory holds one more at most."""
@@ -244,38 +244,38 @@ def _in_order(
             yield last, result.result()
 
 
-def _parse(columns: int, places: NDArray, separator: bytes, block: bytes) -> tuple[NDArray, bool]:
+def _parse(columns: int, wanted: NDArray, separator: bytes, block: bytes) -> tuple[NDArray, bool]:
     """Parse the rows of a block, (wanted, rows), and return whether all rows were read or one is faulty."""
     text = np.frombuffer(block, np.uint8)
     size = len(block) - BEYOND
-    out = np.empty((len(places), size // (2 * columns) + 1))  # a digit and a space for each value
+    out = np.empty((len(wanted), size // (2 * columns) + 1))  # a digit and a space for each value
     edges = np.empty(text.size + 2 * columns + 2, np.int32)
     lines = np.empty(text.size, np.int32)
-    left = np.empty((len(places) + _LEFT, len(REST)), np.int64)
+    left = np.empty((len(wanted) + _LEFT, len(REST)), np.int64)
     row = done = 0
     while done < size:
         # where nothing is compiled, NumPy warns of bits that products lose
         with np.errstate(over="ignore"):
-            rows, passed, count = read_rows(
+            read, passed, count = read_rows(
                 text[done:],
                 size - done + 1,
                 separator[0],
                 columns,
-                places,
+                wanted,
                 out,
                 row,
                 edges,
                 lines,
                 left,
             )
-        for at, place, start, stop in left[:count].tolist():
+        for at, n, start, stop in left[:count].tolist():
             value = _number(block[done + start : done + stop])
             if math.isnan(value):
                 return out[:, :at], False
-            out[place, at] = value
+            out[n, at] = value
         if passed == 0:
             return out[:, :row], False
-        row += rows
+        row += read
         done += passed
     return out[:, :row], True
 
@@ -377,7 +377,7 @@ class TableIndex:
     time: float | None = None
     comments: tuple[bytes, ...] = ()
 
-    def place(self, first: int, stop: int) -> tuple[int, int]:
+    def extent(self, first: int, stop: int) -> tuple[int, int]:
         """Byte where some rows begin, and how many bytes there are; the first row where bytes are unknown."""
         if self.starts is None:
             return first, 0
@@ -617,14 +617,14 @@ def _texts(
     body: bytes, columns: Sequence[str], wanted: Sequence[str], separator: str, path: str
 ) -> Columns:
     """Return columns of dates or durations as texts."""
-    places = [columns.index(name) for name in wanted]
+    indices = [columns.index(name) for name in wanted]
     rows = []
     for row, line in enumerate(_lines(body, separator)):
         words = line.split()
         if len(words) != len(columns):
             fault = _fault(line, columns, (), last=False, separator=separator, source=path)
             raise SceneError(f"{path}: row {row} {fault}")
-        rows.append([words[place].decode("utf-8", "replace").strip("\"'") for place in places])
+        rows.append([words[k].decode("utf-8", "replace").strip("\"'") for k in indices])
     values = np.array(rows, object).reshape(len(rows), len(wanted))
     return dict(zip(wanted, values.T, strict=True))
 

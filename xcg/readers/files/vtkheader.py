@@ -69,7 +69,7 @@ class Piece:
 
     Attributes
     ----------
-    rows : int
+    count : int
         Number of points, or of lines.
     arrays : tuple of Array
         The coordinates of the points, then the arrays of points and of vertices; or the arrays of
@@ -81,7 +81,7 @@ class Piece:
         Names of arrays of cells that belong to no single point.
     """
 
-    rows: int
+    count: int
     arrays: tuple[Array, ...]
     vertices: Array | None = None
     unread: tuple[str, ...] = ()
@@ -120,9 +120,9 @@ class Header:
     mesh: str = ""
 
     @property
-    def rows(self) -> int:
+    def count(self) -> int:
         """Number of points, or of lines."""
-        return sum(piece.rows for piece in self.pieces)
+        return sum(piece.count for piece in self.pieces)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,12 +147,12 @@ def check_header(header: Header) -> None:
         if piece.vertices:
             arrays.append(piece.vertices)
         for array in arrays:
-            check_size(header.path, array, header.encoding, piece.rows)
+            check_size(header.path, array, header.encoding, piece.count)
 
 
-def check_size(path: str, array: Array, encoding: VtkEncoding, rows: int) -> None:
+def check_size(path: str, array: Array, encoding: VtkEncoding, count: int) -> None:
     """Compare the rows that a header promises with the bytes that there are."""
-    values = rows * array.components
+    values = count * array.components
     needed = values * np.dtype(TYPES[array.kind]).itemsize
     present = max(0, array.stop - array.start)
     if array.form == "ascii":
@@ -163,7 +163,7 @@ def check_size(path: str, array: Array, encoding: VtkEncoding, rows: int) -> Non
         present = encoding.room(present)
     if needed > present:
         raise SceneError(
-            f"{path}: its header promises {rows} points, lines or cells, for which '{array.name}' needs {needed} "
+            f"{path}: its header promises {count} points, lines or cells, for which '{array.name}' needs {needed} "
             f"bytes, but {present} follow in the {array.stop} of the file; it was cut short, or is still being "
             "written. Leave it out, or write it again"
         )
@@ -204,10 +204,10 @@ def _read_piece(file: BinaryIO, header: Header, piece: Piece, names: Sequence[st
     for array in piece.arrays:
         if array.name not in names or array.name in arrays:
             continue
-        values = _read_rows(file, header, array, piece.rows)
+        values = _read_components(file, header, array, piece.count)
         if array.of_vertices and piece.vertices:
             if vertices is None:
-                vertices = _points_of_vertices(file, header, piece.vertices, piece.rows)
+                vertices = _points_of_vertices(file, header, piece.vertices, piece.count)
             by_vertex = values
             values = np.empty_like(by_vertex)
             values[vertices] = by_vertex
@@ -215,11 +215,11 @@ def _read_piece(file: BinaryIO, header: Header, piece: Piece, names: Sequence[st
     return arrays
 
 
-def _points_of_vertices(file: BinaryIO, header: Header, vertices: Array, rows: int) -> NDArray:
+def _points_of_vertices(file: BinaryIO, header: Header, vertices: Array, count: int) -> NDArray:
     """Read the point of each vertex (rows,); each point has to have one vertex."""
-    cells = _read_rows(file, header, vertices, rows).reshape(rows, -1)
+    cells = _read_components(file, header, vertices, count).reshape(count, -1)
     points = cells[:, -1]
-    if not np.array_equal(np.sort(points), np.arange(rows)) or (cells[:, :-1] != 1).any():
+    if not np.array_equal(np.sort(points), np.arange(count)) or (cells[:, :-1] != 1).any():
         raise SceneError(
             f"{header.path}: arrays of cells are read as those of grains, but the cells are not one vertex for each "
             "point; write the arrays for the points, or drop them with names={'...': None}"
@@ -227,10 +227,10 @@ def _points_of_vertices(file: BinaryIO, header: Header, vertices: Array, rows: i
     return points.astype(np.intp)
 
 
-def _read_rows(file: BinaryIO, header: Header, array: Array, rows: int) -> NDArray:
-    values = read_values(file, header.path, array, header.encoding, rows)
+def _read_components(file: BinaryIO, header: Header, array: Array, count: int) -> NDArray:
+    values = read_values(file, header.path, array, header.encoding, count)
     if array.components > 1:
-        return values.reshape(rows, array.components)
+        return values.reshape(count, array.components)
     return values
 
 

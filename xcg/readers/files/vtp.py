@@ -221,7 +221,7 @@ def read_header(path: str, *, lines: bool = False) -> Header:
         path,
         encoding,
         _time_of(file, xml),
-        tuple(piece for piece in pieces if piece.rows) or tuple(pieces[:1]),
+        tuple(piece for piece in pieces if piece.count) or tuple(pieces[:1]),
         fields={
             _utf8(tag.attributes.get("Name", "")): _numbers(xml.content(tag))
             for tag in xml.arrays("FieldData")
@@ -262,30 +262,30 @@ def _piece(file: _File, xml: _Xml, *, of_lines: bool) -> Piece:
     """Describe the points of a piece, or its lines."""
     of_cells = [_array(element, file, xml) for element in xml.arrays("CellData")]
     if of_lines:
-        rows = _count(file.path, xml, "Lines") or _count(file.path, xml, "Cells")
-        return Piece(rows, tuple(of_cells))
-    rows = _count(file.path, xml, "Points")
+        count = _count(file.path, xml, "Lines") or _count(file.path, xml, "Cells")
+        return Piece(count, tuple(of_cells))
+    count = _count(file.path, xml, "Points")
     tags = [*xml.arrays("Points"), *xml.arrays("PointData")]
     arrays = [_array(element, file, xml) for element in tags]
-    if rows and not (xml.arrays("Points") and arrays[0].components == 3):
+    if count and not (xml.arrays("Points") and arrays[0].components == 3):
         raise SceneError(
             f"{file.path}: its points have no array with three components; the file is damaged, leave it out"
         )
     of_points = {array.name for array in arrays}
     of_cells = [array for array in of_cells if array.name not in of_points]
-    vertices = _vertices(file, xml, rows) if of_cells else None
+    vertices = _vertices(file, xml, count) if of_cells else None
     if vertices is None:
-        return Piece(rows, tuple(arrays), unread=tuple(array.name for array in of_cells))
+        return Piece(count, tuple(arrays), unread=tuple(array.name for array in of_cells))
     arrays += [replace(array, of_vertices=True) for array in of_cells]
-    return Piece(rows, tuple(arrays), vertices)
+    return Piece(count, tuple(arrays), vertices)
 
 
-def _vertices(file: _File, xml: _Xml, rows: int) -> Array | None:
+def _vertices(file: _File, xml: _Xml, count: int) -> Array | None:
     """Return the array of the points of cells, if there is one cell for each point, and it may be a vertex."""
     counts = {cells: _count(file.path, xml, cells) for cells in _CELLS}
     for kind in ("Cells", "Verts"):
         tags = xml.arrays(kind, "connectivity")
-        if tags and rows and rows == counts[kind] == sum(counts.values()):
+        if tags and count and count == counts[kind] == sum(counts.values()):
             return _array(tags[0], file, xml)
     return None
 
@@ -300,11 +300,11 @@ def _mesh_of(file: _File, xml: _Xml) -> str:
     return mesh_of_cells(counts["Polys"] + counts["Strips"], counts["Verts"], types)
 
 
-def _values(file: _File, array: Array, rows: int) -> NDArray:
+def _values(file: _File, array: Array, count: int) -> NDArray:
     """Read the values of one array while the header is read."""
-    check_size(file.path, array, file.encoding, rows)
+    check_size(file.path, array, file.encoding, count)
     with open_binary(file.path) as stream:
-        return read_values(stream, file.path, array, file.encoding, rows)
+        return read_values(stream, file.path, array, file.encoding, count)
 
 
 def _time_of(file: _File, xml: _Xml) -> float | None:
