@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from datetime import UTC, datetime
@@ -8,6 +9,10 @@ from multiprocessing import get_context
 from unittest import mock
 
 import pytest
+
+# idle threads of OpenMP and BLAS spin, which slows down other workers of pytest
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.engines.mfix import Mfix
