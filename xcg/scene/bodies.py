@@ -115,7 +115,7 @@ def _over_time(
     *arrays: NDArray, names: list[str], outputs: list[str], periodic: str
 ) -> tuple[NDArray, ...]:
     inputs = dict(zip(names, arrays, strict=True))
-    rows = {
+    lengths = {
         variable(name).dims[0]: inputs[name].shape[1]
         for name in ("particle_id", "contact_i")
         if name in inputs
@@ -123,16 +123,16 @@ def _over_time(
     out = {}
     for name in outputs:
         kind = variable(name)
-        shape = kind.shape(rows[kind.dims[0]])
+        shape = kind.shape(lengths[kind.dims[0]])
         out[name] = np.full((len(arrays[0]), *shape), kind.fill, kind.dtype)
     for t, (frame, lattice, source) in enumerate(steps_in(inputs, periodic)):
-        bodies, id_of_row = _bodies(frame, lattice, f"group_bodies, {source}")
+        bodies, body_of_sphere = _bodies(frame, lattice, f"group_bodies, {source}")
         if "contact_i" in frame:
             for side in ("contact_i", "contact_j"):
-                row = rows_of(frame["particle_id"], frame[side])
+                index = rows_of(frame["particle_id"], frame[side])
                 body = np.where(frame[side] < 0, frame[side], _MISSING)
-                is_particle = row >= 0
-                body[is_particle] = id_of_row[row[is_particle]]
+                is_particle = index >= 0
+                body[is_particle] = body_of_sphere[index[is_particle]]
                 frame[side] = body
             outside = frame["contact_i"] != frame["contact_j"]
             bodies |= {name: frame[name][outside] for name in _CONTACTS if name in frame}
@@ -175,11 +175,11 @@ def _bodies(
         if name in frame:
             differ = frame[name] != bodies[name][group]
             if differ.any():
-                row = differ.argmax()
-                leader = first[group[row]]
+                index = differ.argmax()
+                leader = first[group[index]]
                 raise SceneError(
-                    f"{source}: spheres {ids[leader]} and {ids[row]} are of one body ({identity[leader]}) and differ "
-                    f"in {name} ({frame[name][leader]}, {frame[name][row]}): give single spheres a negative body, or "
+                    f"{source}: spheres {ids[leader]} and {ids[index]} are of one body ({identity[leader]}) and differ "
+                    f"in {name} ({frame[name][leader]}, {frame[name][index]}): give single spheres a negative body, or "
                     f"leave the variable out: ds.drop_vars({name!r})"
                 )
     return bodies, identity

@@ -189,24 +189,24 @@ def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
     cells = vectors[:, axes]
     largest = 0.0
     # rates before and after each step, of the vectors as written there
-    seen = np.zeros((2, len(time), len(axes), 3))
+    one_sided = np.zeros((2, len(time), len(axes), 3))
     for t, (one, two) in enumerate(pairwise(cells)):
         turned = same_vectors(one, two, axes)
         move = (turned @ two - one) * ~np.eye(3, dtype=bool)[axes]
         largest = max(largest, float(np.abs(move[:, axes] / two[range(len(axes)), axes]).max()))
-        seen[1, t] = move / (time[t + 1] - time[t])
-        seen[0, t + 1] = np.linalg.solve(turned, seen[1, t])
+        one_sided[1, t] = move / (time[t + 1] - time[t])
+        one_sided[0, t + 1] = np.linalg.solve(turned, one_sided[1, t])
     if largest > _FAST:
         warn_user(
             f"the tilt of the box changes by up to {largest:.2g} periods from step to step; where it is half of one or "
             "more, the rate of shear that follows is wrong: give shear_rate=, for example {'xy': 0.1} (s-1)"
         )
-    seen[0, 0] = seen[1, 0]
-    seen[1, -1] = seen[0, -1]
+    one_sided[0, 0] = one_sided[1, 0]
+    one_sided[1, -1] = one_sided[0, -1]
     lengths = np.diff(time)[:, None, None]
     before = np.concatenate([lengths[:1], lengths])
     after = np.concatenate([lengths, lengths[-1:]])
-    rates[:, axes] = (after * seen[0] + before * seen[1]) / (before + after)
+    rates[:, axes] = (after * one_sided[0] + before * one_sided[1]) / (before + after)
     return rates
 
 
@@ -214,7 +214,7 @@ def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
 class BoxMotion:
     """The displacement ``shift + gradient r`` that a box imposes on what it holds: zero along axes that are open.
 
-    What is known of the shape of a box in both frames is here.
+    It follows from the shapes of the box in both frames.
 
     Attributes
     ----------
@@ -240,9 +240,9 @@ class BoxMotion:
         stretch, lower, moved = np.zeros((3, 3))
         wraps = np.isfinite(first.lengths)
         if first.edges is not None and later.edges is not None:
-            known = wraps & np.isfinite(first.edges[:, 0]) & np.isfinite(later.edges[:, 0])
-            lower[known] = first.edges[known, 0]
-            moved[known] = later.edges[known, 0] - first.edges[known, 0]
+            has_edges = wraps & np.isfinite(first.edges[:, 0]) & np.isfinite(later.edges[:, 0])
+            lower[has_edges] = first.edges[has_edges, 0]
+            moved[has_edges] = later.edges[has_edges, 0] - first.edges[has_edges, 0]
             # an edge that is a period further on is the same edge
             moved = later.shortest(moved[None])[0]
         if first.vectors is None and later.vectors is None:
@@ -275,7 +275,9 @@ class BoxMotion:
                 "or more are wrong. Write steps more often, or with images (ix iy iz, or xu yu zu)",
             )
 
-    def relative(self, first: Frame, later: Frame, rows: NDArray, later_rows: NDArray) -> NDArray:
+    def relative(
+        self, first: Frame, later: Frame, indices: NDArray, later_indices: NDArray
+    ) -> NDArray:
         """Return the displacements (n, 3) of grains, less that of the box where they were.
 
         Frames with ``image`` say which image each grain went to; in others it is the one that moved
@@ -285,44 +287,46 @@ class BoxMotion:
         ----------
         first, later : Frame
             The two frames.
-        rows, later_rows : array (n,)
-            Rows of the same grains in the first and in the later frame.
+        indices, later_indices : array (n,)
+            Indices of the same grains in the first and in the later frame.
 
         Raises
         ------
         SceneError
             If ``image`` changes along an axis that is not periodic.
         """
-        position = first["position"][rows]
-        moved = later["position"][later_rows] - position - self.shift - position @ self.gradient.T
+        position = first["position"][indices]
+        moved = (
+            later["position"][later_indices] - position - self.shift - position @ self.gradient.T
+        )
         if "image" not in first:
             return self.lattice.shortest(moved)
-        before = first["image"][rows]
-        after = later["image"][later_rows]
+        before = first["image"][indices]
+        after = later["image"][later_indices]
         axes = self.lattice.axes
         crossed = np.argwhere(np.delete(after - before, axes, axis=1))
         if crossed.size:
-            row, k = crossed[0]
+            n, k = crossed[0]
             axis = np.delete(list(COMPONENTS), axes)[k]
             raise SceneError(
-                f"particle {first['particle_id'][rows][row]} has another image along '{axis}' than before, and the "
+                f"particle {first['particle_id'][indices][n]} has another image along '{axis}' than before, and the "
                 f"scene is not periodic along it; give periodic= with '{axis}', or ds.drop_vars('image')"
             )
         return moved + (after[:, axes] - before[:, axes] @ self.turned) @ self.lattice.given
 
 
 def partners(first: Frame, later: Frame, sources: tuple[str, str]) -> NDArray:
-    """Row in a later frame of each grain of the first, -1 for lost grains.
+    """Return the index in a later frame of each grain of the first, -1 for lost grains.
 
     Raises
     ------
     SceneError
         If the first frame holds grains, and the later one none of them.
     """
-    rows = rows_of(later["particle_id"], first["particle_id"])
-    if len(rows) and (rows < 0).all():
+    indices = rows_of(later["particle_id"], first["particle_id"])
+    if len(indices) and (indices < 0).all():
         raise SceneError(
             f"{sources[0]} and {sources[1]} have no particle id in common: grains are followed by ids that stay the "
             "same from step to step; choose a smaller lag, or open the files with names= for the column of such ids"
         )
-    return rows
+    return indices

@@ -61,9 +61,9 @@ def complete_particles(
     ids = typed.setdefault("particle_id", np.arange(count, dtype="int64"))
     check_rows(typed, "particle", source)
     if (ids < 0).any():
-        row = int(ids.argmin())
+        index = int(ids.argmin())
         raise SceneError(
-            f"{source}: particle id {ids[row]} in row {row} is negative; negative ids are kept for "
+            f"{source}: particle id {ids[index]} in row {index} is negative; negative ids are kept for "
             "walls and padding"
         )
     order = _order_of(ids, source)
@@ -97,9 +97,9 @@ def _check_diameters(diameter: NDArray, ids: NDArray, source: str) -> None:
     """Raise SceneError for lengths that no particle has."""
     beyond = np.flatnonzero(~((diameter >= SHORTEST) & (diameter <= LONGEST)))
     if beyond.size:
-        row = beyond[0]
+        index = beyond[0]
         raise SceneError(
-            f"{source}: 'diameter' of particle {ids[row]} is {diameter[row]:.3g} m, expected {SHORTEST:g} to "
+            f"{source}: 'diameter' of particle {ids[index]} is {diameter[index]:.3g} m, expected {SHORTEST:g} to "
             f"{LONGEST:g} m; check the units, and the volume or mass that it follows from"
         )
 
@@ -108,15 +108,15 @@ def _require(fits: NDArray, name: str, expected: str, frame: Frame, source: str)
     """Raise SceneError for the first particle whose variable is not as expected."""
     if fits.all():
         return
-    row = int(np.argmin(fits))
+    index = int(np.argmin(fits))
     raise SceneError(
-        f"{source}: '{name}' of particle {frame['particle_id'][row]} is {frame[name][row]}; "
+        f"{source}: '{name}' of particle {frame['particle_id'][index]} is {frame[name][index]}; "
         f"expected {expected}"
     )
 
 
 def _order_of(ids: NDArray, source: str) -> NDArray | None:
-    """Return the rows in the order of their ids (n,), None if they are in order.
+    """Return the indices (n,) that sort ids, None if these are in order.
 
     Raises
     ------
@@ -127,13 +127,13 @@ def _order_of(ids: NDArray, source: str) -> NDArray | None:
         return None
     lowest = int(ids.min())
     highest = int(ids.max())
-    if highest - lowest + 1 == len(ids):  # without gaps, each id has its place: nothing to sort
-        places = ids - lowest
+    if highest - lowest + 1 == len(ids):  # without gaps, each id is its rank: nothing to sort
+        ranks = ids - lowest
         taken = np.zeros(len(ids), bool)
-        taken[places] = True
+        taken[ranks] = True
         if taken.all():
             order = np.empty(len(ids), np.intp)
-            order[places] = np.arange(len(ids))
+            order[ranks] = np.arange(len(ids))
             return order
     order = np.argsort(ids)
     in_order = ids[order]
@@ -171,7 +171,7 @@ def _without_default_body(body: NDArray, source: str) -> NDArray:
     return np.where(members, -1, body)
 
 
-_DIGITS = 0.01  # part of a period by which places in files may miss whole periods
+_DIGITS = 0.01  # part of a period by which positions in files may miss whole periods
 
 
 def _images(
@@ -196,9 +196,9 @@ def _images(
         shortest = np.linalg.norm(periods, axis=1).min()
     off = np.flatnonzero(rest > _DIGITS * shortest)
     if off.size:
-        row = off[0]
+        index = off[0]
         raise SceneError(
-            f"{source}: the unwrapped position of particle {ids[row]} is {away[row].tolist()} m from "
+            f"{source}: the unwrapped position of particle {ids[index]} is {away[index].tolist()} m from "
             f"its position, which is no sum of the periods {periods.tolist()}; give periodic= and box= "
             "as in the simulation, or drop the unwrapped positions (files: names={'xu': None, ...})"
         )

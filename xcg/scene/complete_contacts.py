@@ -82,40 +82,42 @@ def complete_contacts(
             f"{source}: contacts lack {', '.join(missing)}; pass {missing[0]}=, or map columns by names="
         )
     check_rows(typed, "contact", source)
-    seen = typed.pop("contact_branch", None)
+    data_branch = typed.pop("contact_branch", None)
     i, j = typed["contact_i"], typed["contact_j"]
     number = np.asarray(frame.get("row_of_file", np.arange(len(i))))
     ids = particles["particle_id"]
-    row_i, row_j = rows_of(ids, i), rows_of(ids, j)
+    index_i, index_j = rows_of(ids, i), rows_of(ids, j)
     self_contact = np.flatnonzero(i == j)
     if self_contact.size:
-        row = self_contact[0]
+        index = self_contact[0]
         raise SceneError(
-            f"{source}: contact row {number[row]} joins particle {i[row]} with itself; drop such rows. If it "
+            f"{source}: contact row {number[index]} joins particle {i[index]} with itself; drop such rows. If it "
             f"touches its own image, {REPEAT}"
         )
     if (i < 0).any():
-        row = int(np.flatnonzero(i < 0)[0])
+        index = int(np.flatnonzero(i < 0)[0])
         raise SceneError(
-            f"{source}: contact row {number[row]} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
+            f"{source}: contact row {number[index]} has id {i[index]} as 'contact_i'; a wall must stand as 'contact_j'"
         )
-    unknown = row_j < 0
+    unknown = index_j < 0
     unknown &= j >= 0
-    unknown |= row_i < 0
+    unknown |= index_i < 0
     if unknown.any() and not allow_unknown:
-        row = int(np.flatnonzero(unknown)[0])
-        name = "contact_i" if row_i[row] < 0 else "contact_j"
+        index = int(np.flatnonzero(unknown)[0])
+        name = "contact_i" if index_i[index] < 0 else "contact_j"
         raise SceneError(
-            f"{source}: contact row {number[row]} has {name}={typed[name][row]}, and no particle has this id "
+            f"{source}: contact row {number[index]} has {name}={typed[name][index]}, and no particle has this id "
             f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass "
             "allow_unknown=True to treat unknown partners as walls"
         )
     derived = np.asarray(
         frame.get("point_is_middle", np.full(len(i), "contact_point" not in typed))
     )
-    spheres = SphereContacts(typed, number, particles, row_i, row_j, seen, lattice, source)
+    spheres = SphereContacts(
+        typed, number, particles, index_i, index_j, data_branch, lattice, source
+    )
     if are_spheres(particles):
-        dropped = spheres.rows_without_contact()
+        dropped = spheres.without_contact()
         if dropped.size:  # all else depends on the rows
             kept = {
                 name: np.delete(np.asarray(values), dropped, axis=0)
@@ -134,12 +136,12 @@ def complete_contacts(
         if "contact_point" in typed and "point_is_middle" not in frame:
             spheres.warn_of_coincident_centres()
             if spheres.points_are_middles():
-                derived = (row_i >= 0) & (row_j >= 0)
+                derived = (index_i >= 0) & (index_j >= 0)
             else:
                 spheres.warn_of_points_elsewhere()
     if derived.any() or "contact_point" not in typed:
         typed["contact_point"] = touching_points_of(spheres, derived)
-    del spheres, row_i, row_j, unknown, derived
+    del spheres, index_i, index_j, unknown, derived
     return without_repeats(typed, number, particles, lattice, setup.sides, source)
 
 

@@ -20,15 +20,15 @@ _BLOCK = 1 << 14  # contacts whose points are derived together, in the cache of 
 
 def touching_points_of(spheres: SphereContacts, derived: NDArray) -> NDArray:
     """Contact points (n, 3), derived from the spheres for `derived` contacts (n,); by blocks that stay in the cache."""
-    points = np.empty((len(spheres.row_i), 3))
+    points = np.empty((len(spheres.index_i), 3))
     if "contact_point" in spheres.contacts:
         points[:] = spheres.contacts["contact_point"]
     wanted = np.flatnonzero(derived)
     for first in range(0, len(wanted), _BLOCK):
-        rows = wanted[first : first + _BLOCK]
-        of_block = _plain_points(spheres, rows)
+        indices = wanted[first : first + _BLOCK]
+        of_block = _plain_points(spheres, indices)
         if of_block is None:
-            of_block = _points(spheres, rows)
+            of_block = _points(spheres, indices)
         if of_block is None:
             warn_once(
                 "branches of contacts",
@@ -36,12 +36,12 @@ def touching_points_of(spheres: SphereContacts, derived: NDArray) -> NDArray:
                 "cross an edge that is not periodic, and the shortest are taken; drop them with names={'dx': None, "
                 "...} if they are something else",
             )
-            return touching_points_of(replace(spheres, seen=None), derived)
-        points[rows] = of_block
+            return touching_points_of(replace(spheres, data_branch=None), derived)
+        points[indices] = of_block
     return points
 
 
-def _plain_points(spheres: SphereContacts, rows: NDArray) -> NDArray | None:
+def _plain_points(spheres: SphereContacts, indices: NDArray) -> NDArray | None:
     """Points where spheres touch in a box with edges along the axes; None if a pair is left to `_points`.
 
     A loop finds them in less than a tenth of the time. It knows neither tilted boxes nor partners
@@ -51,23 +51,23 @@ def _plain_points(spheres: SphereContacts, rows: NDArray) -> NDArray | None:
     lattice = spheres.lattice
     if lattice.reduced is not None or "diameter" not in particles:
         return None
-    points = np.empty((len(rows), 3))
+    points = np.empty((len(indices), 3))
     period, _ = lattice.for_loops
     plain = touching_points(
-        spheres.row_i[rows],
-        spheres.row_j[rows],
+        spheres.index_i[indices],
+        spheres.index_j[indices],
         particles["position"],
         particles["diameter"],
-        None if spheres.seen is None else spheres.seen[rows],
+        None if spheres.data_branch is None else spheres.data_branch[indices],
         SAME_BRANCH,
         period,
         _HAIR,
         points,
     )
-    return points if plain == len(rows) else None
+    return points if plain == len(indices) else None
 
 
-def _points(spheres: SphereContacts, rows: NDArray) -> NDArray | None:
+def _points(spheres: SphereContacts, indices: NDArray) -> NDArray | None:
     """Points where spheres touch; for a partner that is not in the scene, from the given middle.
 
     None where branches that the data hold are not those between the positions.
@@ -75,15 +75,15 @@ def _points(spheres: SphereContacts, rows: NDArray) -> NDArray | None:
     contacts = spheres.contacts
     particles = spheres.particles
     lattice = spheres.lattice
-    row_i = spheres.row_i[rows]
-    row_j = spheres.row_j[rows]
+    index_i = spheres.index_i[indices]
+    index_j = spheres.index_j[indices]
 
-    def named(row: int) -> str:
-        i = contacts["contact_i"][rows[row]]
-        j = contacts["contact_j"][rows[row]]
-        return f"{spheres.source}: contact row {spheres.number[rows[row]]} (i={i}, j={j})"
+    def named(k: int) -> str:
+        i = contacts["contact_i"][indices[k]]
+        j = contacts["contact_j"][indices[k]]
+        return f"{spheres.source}: contact row {spheres.number[indices[k]]} (i={i}, j={j})"
 
-    alone = (row_i < 0) | (row_j < 0)
+    alone = (index_i < 0) | (index_j < 0)
     if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
         raise SceneError(
             f"{named(int(np.flatnonzero(alone)[0]))} has no contact point, and none follows without both spheres; "
@@ -96,35 +96,35 @@ def _points(spheres: SphereContacts, rows: NDArray) -> NDArray | None:
     position = particles["position"]
     radius = particles["diameter"] / 2
     both = np.flatnonzero(~alone)
-    only = np.flatnonzero(alone & (np.maximum(row_i, row_j) >= 0))
-    i = row_i[both]
-    j = row_j[both]
-    seen = None if spheres.seen is None else spheres.seen[rows[both]]
+    only = np.flatnonzero(alone & (np.maximum(index_i, index_j) >= 0))
+    i = index_i[both]
+    j = index_j[both]
+    data_branch = None if spheres.data_branch is None else spheres.data_branch[indices[both]]
 
     def refuse(wrong: NDArray, what: str) -> None:
         if wrong.size:
             raise SceneError(f"{named(both[wrong[0]])} {what}")
 
     centre = position[i]
-    branch = _branches(centre - position[j], radius[i] + radius[j], seen, lattice, refuse)
+    branch = _branches(centre - position[j], radius[i] + radius[j], data_branch, lattice, refuse)
     if branch is None:
         return None
-    same = rows[both[(branch == 0.0).all(axis=1)]]
+    same = indices[both[(branch == 0.0).all(axis=1)]]
     warn_of_coincident(contacts["contact_i"][same], contacts["contact_j"][same], spheres.source)
     between = contact_points(centre, branch, radius[i], radius[j])
     for side in (centre - between, centre - between - branch):
         refuse(
             np.flatnonzero(lattice.is_halfway(side, _HAIR)),
-            f"is half a period away from a centre, where both of its sides are one place; {REPEAT}",
+            f"is half a period away from a centre, where both of its sides are one point; {REPEAT}",
         )
-    points = np.empty((len(rows), 3))
+    points = np.empty((len(indices), 3))
     if "contact_point" in contacts:
-        points = contacts["contact_point"][rows]
+        points = contacts["contact_point"][indices]
     points[both] = between
     if only.size:
-        k = np.maximum(row_i, row_j)[only]
+        k = np.maximum(index_i, index_j)[only]
         branch = 2 * lattice.shortest(position[k] - points[only])
-        overlap = contacts["overlap"][rows[only]]
+        overlap = contacts["overlap"][indices[only]]
         other = np.linalg.norm(branch, axis=1) + overlap - radius[k]
         points[only] = contact_points(position[k], branch, radius[k], other)
     return points
@@ -133,22 +133,22 @@ def _points(spheres: SphereContacts, rows: NDArray) -> NDArray | None:
 def _branches(
     apart: NDArray,
     touching: NDArray,
-    seen: NDArray | None,
+    data_branch: NDArray | None,
     lattice: Lattice,
     refuse: Callable[[NDArray, str], None],
 ) -> NDArray | None:
-    """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest.
+    """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to those in the data, or shortest.
 
-    None where these are not near to what was seen.
+    None where these are not near to those in the data.
     """
-    if seen is not None:
-        return nearest_branches(apart, seen, lattice)
+    if data_branch is not None:
+        return nearest_branches(apart, data_branch, lattice)
     branch = lattice.shortest(apart)
-    rows, _ = lattice.within(
+    doubtful, _ = lattice.within(
         branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR)
     )
     refuse(
-        rows[1:][rows[1:] == rows[:-1]],
+        doubtful[1:][doubtful[1:] == doubtful[:-1]],
         "may be on either side, as the box is so small that the two touch twice; give 'contact_point', or the vector "
         "from j to i as 'contact_branch' (files: names={'dx': 'contact_branch_x', ...})",
     )

@@ -36,12 +36,12 @@ FIRST_WALL = PADDING - 1  # walls that have names are -2, -3, ... in their order
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Contacts by row of their particles.
+    """Contacts by the indices of their particles.
 
     Attributes
     ----------
     i, j : array (n,)
-        Rows of the two particles; -1 for a wall or a partner that is not in the scene.
+        Indices of the two particles; -1 for a wall or a partner that is not in the scene.
     force : array (n, 3)
         Force on i (N); zero where the frame has no forces.
     point : array (n, 3)
@@ -76,19 +76,19 @@ class Contacts:
     def of(
         cls, frame: Frame, lattice: Lattice, source: str = "scene", threads: int = 1
     ) -> Contacts:
-        """Join the contacts of a frame to the rows of its particles; `source` names the step in warnings."""
+        """Join the contacts of a frame to its particles; `source` names the step in warnings."""
         ids = frame["particle_id"]
         position = frame["position"]
         key_i = frame["contact_i"]
         key_j = frame["contact_j"]
         point = frame["contact_point"]
-        row_i, row_j = rows_of(ids, key_i), rows_of(ids, key_j)
-        check_contacts(frame, row_i, row_j, lattice, source)
+        index_i, index_j = rows_of(ids, key_i), rows_of(ids, key_j)
+        check_contacts(frame, index_i, index_j, lattice, source)
         normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
         force = frame.get("contact_force", np.zeros_like(point))
         return cls(
-            row_i, row_j, force, point, position, lattice, key_i, key_j, normal, threads=threads
+            index_i, index_j, force, point, position, lattice, key_i, key_j, normal, threads=threads
         )
 
     @cached_property
@@ -98,15 +98,17 @@ class Contacts:
             return self.given_branches
         return self._sides(self.i), self._sides(self.j)
 
-    def _sides(self, row: NDArray) -> NDArray:
+    def _sides(self, index: NDArray) -> NDArray:
         """Vectors (n, 3) from the contact points to one particle of each contact, zero where it is not there."""
         out = np.empty_like(self.point)
         periods = self.lattice.for_loops
 
         def write(first: int, last: int) -> None:
-            sides(row[first:last], self.position, self.point[first:last], *periods, out[first:last])
+            sides(
+                index[first:last], self.position, self.point[first:last], *periods, out[first:last]
+            )
 
-        for_parts(len(row), write, self.threads)
+        for_parts(len(index), write, self.threads)
         return out
 
     @property
@@ -135,10 +137,13 @@ class Contacts:
         normal = self.normal[both]
         spheres = np.ones(len(both), bool)
         branches = []
-        for row, given, sign in ((self.i, self.branch_i, 1.0), (self.j, self.branch_j, -1.0)):
-            radius = diameter[row[both]] / 2
+        for index, own_branch, sign in (
+            (self.i, self.branch_i, 1.0),
+            (self.j, self.branch_j, -1.0),
+        ):
+            radius = diameter[index[both]] / 2
             branch = sign * (radius - overlap[both] / 2)[:, None] * normal
-            spheres &= np.linalg.norm(branch - given[both], axis=1) <= SPHERES * radius
+            spheres &= np.linalg.norm(branch - own_branch[both], axis=1) <= SPHERES * radius
             branches.append(branch)
         branch_i = self.branch_i.copy()
         branch_j = self.branch_j.copy()
@@ -198,8 +203,8 @@ class Contacts:
         """Sum what contacts give to their particles, `on_i` and `sign_j` x `on_j`; (n, ...) to (particles, ...)."""
         width = math.prod(on_i.shape[1:])
         total = np.zeros((len(self.position), width))
-        for row, sign, values in ((self.i, 1.0, on_i), (self.j, sign_j, on_j)):
-            add_rows(row, sign, values.reshape(len(row), width), total)
+        for index, sign, values in ((self.i, 1.0, on_i), (self.j, sign_j, on_j)):
+            add_rows(index, sign, values.reshape(len(index), width), total)
         return total.reshape(len(self.position), *on_i.shape[1:])
 
     @property
@@ -210,13 +215,13 @@ class Contacts:
         sides.
         """
         first = np.ones(len(self.key_i))
-        rows, pair = repeated_pairs(self.key_i, self.key_j)
-        if rows.size:
+        indices, pair = repeated_pairs(self.key_i, self.key_j)
+        if indices.size:
             from_lower = np.where((self.key_i < self.key_j)[:, None], self.crossed, -self.crossed)
-            keys = np.column_stack([from_lower[rows], pair])
+            keys = np.column_stack([from_lower[indices], pair])
             order = np.lexsort(keys.T)
             repeated = (np.diff(keys[order], axis=0) == 0).all(axis=1)
-            first[rows[order[1:][repeated]]] = 0.0
+            first[indices[order[1:][repeated]]] = 0.0
         return first
 
     @cached_property
@@ -242,7 +247,7 @@ class Contacts:
     @property
     def between_load_bearing(self) -> NDArray:
         """Return whether all particles of each contact that are there may bear load; (n,)."""
-        load_bearing = np.append(self.load_bearing, True)  # row -1 is that of a wall
+        load_bearing = np.append(self.load_bearing, True)  # index -1 is that of a wall
         return load_bearing[self.i] & load_bearing[self.j] & (self.first_row >= 0)
 
     def k_core(self, least: int) -> NDArray:
@@ -285,7 +290,7 @@ class Contacts:
 
     @property
     def at_walls(self) -> tuple[NDArray, NDArray, NDArray]:
-        """Particle row, contact point (m) and force on the particle (N) of the contacts with walls."""
+        """Particle index, contact point (m) and force on the particle (N) of the contacts with walls."""
         walls = np.flatnonzero((self.i < 0) != (self.j < 0))  # few, if any
         wall_j = walls[self.j[walls] < 0]
         wall_i = walls[self.i[walls] < 0]
@@ -301,7 +306,7 @@ class Contacts:
         Contacts without a particle come last.
         """
         keys = len(order) + 1
-        # row -1 is that of no particle
+        # index -1 is that of no particle
         rank = np.full(keys, len(order), short_integers(max(keys, len(self.i))))
         rank[order] = np.arange(len(order), dtype=rank.dtype)
         return counting_sort(rank[self.first_row], keys)
@@ -342,20 +347,20 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
     ValueError
         If the scene has no wall of a name, or a number is not negative.
     """
-    known = walls_of(ds)
+    by_name = walls_of(ds)
     wanted = [walls] if isinstance(walls, str) or not np.iterable(walls) else list(walls)
     numbers = []
     for wall in wanted:
         if is_whole(wall, -(2**63), -1):
             numbers.append(int(wall))
-        elif isinstance(wall, str) and wall in known:
-            numbers.append(known[wall])
+        elif isinstance(wall, str) and wall in by_name:
+            numbers.append(by_name[wall])
         elif isinstance(wall, str):
             listed = "no wall of this scene has a name"
-            if known:
-                listed = f"the walls of this scene are {', '.join(known)}"
+            if by_name:
+                listed = f"the walls of this scene are {', '.join(by_name)}"
             raise ValueError(
-                unknown("wall", wall, known, f"{listed}; or give numbers as in contact_j")
+                unknown("wall", wall, by_name, f"{listed}; or give numbers as in contact_j")
             )
         else:
             raise ValueError(

@@ -80,15 +80,15 @@ def frame_at(ds: xr.Dataset, index: int, names: Iterable[str]) -> tuple[Frame, L
     return next(steps_in(arrays, str(ds.attrs.get("periodic", ""))))
 
 
-def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
-    """Stack frames along a new first axis, padded to `rows` rows; one frame that fills them is not copied."""
+def stack(frames: Sequence[Frame], names: Sequence[str], length: int) -> Frame:
+    """Stack frames along a new first axis, padded to `length` rows; one frame that fills them is not copied."""
     stacked = {}
     for name in names:
         row = variable(name, frames[0][name].dtype, frames[0][name].ndim)
-        if len(frames) == 1 and len(frames[0][name]) == rows:
+        if len(frames) == 1 and len(frames[0][name]) == length:
             stacked[name] = np.ascontiguousarray(frames[0][name], row.dtype)[None]
             continue
-        out = np.empty((len(frames), *row.shape(rows)), row.dtype)
+        out = np.empty((len(frames), *row.shape(length)), row.dtype)
         for t, frame in enumerate(frames):
             out[t, : len(frame[name])] = frame[name]
             out[t, len(frame[name]) :] = row.fill
@@ -97,7 +97,7 @@ def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
 
 
 def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
-    """Rows of the particles of one padded step, by id: a slice where they are sorted already.
+    """Return the indices of the particles of one padded step, by id: a slice where they are sorted already.
 
     Raises
     ------
@@ -107,20 +107,20 @@ def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
     count = np.count_nonzero(ids != PADDING)
     if (ids[:count] != PADDING).all() and (ids[1:count] > ids[: max(count - 1, 0)]).all():
         return slice(0, count)
-    rows = np.flatnonzero(ids != PADDING)
-    rows = rows[np.argsort(ids[rows], kind="stable")]
-    twice = np.flatnonzero(np.diff(ids[rows]) == 0)
+    indices = np.flatnonzero(ids != PADDING)
+    indices = indices[np.argsort(ids[indices], kind="stable")]
+    twice = np.flatnonzero(np.diff(ids[indices]) == 0)
     if twice.size:
-        one, other = rows[twice[0] : twice[0] + 2]
+        one, other = indices[twice[0] : twice[0] + 2]
         raise SceneError(
             f"{source}: particle id {ids[one]} occurs twice (rows {one} and {other}); ids must be unique: select parts "
             "that do not overlap before they are joined, or give the particles of one part other ids"
         )
-    return rows
+    return indices
 
 
 def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
-    """Return the row of each wanted id among sorted ids (n,), -1 where it is not there.
+    """Return the index of each wanted id among sorted ids (n,), -1 where it is not there.
 
     This is `wanted` itself where ids are 0, 1, 2, ...
     """
@@ -128,11 +128,11 @@ def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
         return np.full(len(wanted), -1)
     has_gaps = ids[-1] - ids[0] + 1 != len(ids)
     if not has_gaps:  # nothing to search for
-        row = wanted - ids[0] if ids[0] else wanted
-        known = (row >= 0) & (row < len(ids))
-        return row if known.all() else np.where(known, row, -1)
-    row = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
-    return np.where(ids[row] == wanted, row, -1)
+        index = wanted - ids[0] if ids[0] else wanted
+        exists = (index >= 0) & (index < len(ids))
+        return index if exists.all() else np.where(exists, index, -1)
+    index = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+    return np.where(ids[index] == wanted, index, -1)
 
 
 def frame_of(
@@ -151,20 +151,20 @@ def frame_of(
     SceneError
         If an id occurs twice, or a variable of scenes is not finite in one of these rows.
     """
-    rows: dict[str, Any] = {}
+    kept: dict[str, Any] = {}
     if "particle_id" in arrays:
-        rows["particle"] = particle_rows(arrays["particle_id"][t], source)
+        kept["particle"] = particle_rows(arrays["particle_id"][t], source)
     if "contact_i" in arrays:
         valid = arrays["contact_i"][t] != PADDING
         count = np.count_nonzero(valid)
-        rows["contact"] = slice(0, count) if valid[:count].all() else valid
+        kept["contact"] = slice(0, count) if valid[:count].all() else valid
     frame: Frame = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
         dim = row.dims[0] if dims is None else dims[name]
         # as loops are compiled for: files may hold bytes or axes the other way round
-        if dim in rows:
-            frame[name] = values[t][rows[dim]].astype(row.dtype, order="C", copy=False)
+        if dim in kept:
+            frame[name] = values[t][kept[dim]].astype(row.dtype, order="C", copy=False)
         elif dims is not None:
             frame[name] = values[t]
     for name in frame:
@@ -177,14 +177,14 @@ def check_finite(name: str, frame: Frame, source: str) -> None:
     """Raise SceneError for a variable that is not finite in a row of data, as an assigned one may be."""
     if frame[name].dtype.kind != "f" or np.isfinite(frame[name]).all():
         return
-    row = int(np.argwhere(~np.isfinite(frame[name]))[0][0])
+    index = int(np.argwhere(~np.isfinite(frame[name]))[0][0])
     if variable(name).dims[0] == "contact":
-        whose = f"contact row {row}"
+        whose = f"contact row {index}"
     else:
-        whose = f"particle {frame['particle_id'][row]}"
+        whose = f"particle {frame['particle_id'][index]}"
     raise SceneError(
-        f"{source}: {name!r} of {whose} is {frame[name][row]}; every row must hold finite numbers: repair it, or leave "
-        "the row out of the scene"
+        f"{source}: {name!r} of {whose} is {frame[name][index]}; every row must hold finite numbers: repair it, or "
+        "leave the row out of the scene"
     )
 
 
@@ -194,15 +194,15 @@ def phase_of(frame: Frame, by: str | None, groups: Sequence[int], source: str) -
     if by is None:
         return np.zeros(count, "int64")
     values = frame[by]
-    known = np.asarray(groups)
-    row = np.minimum(np.searchsorted(known, values), len(known) - 1)
-    strange = np.flatnonzero(known[row] != values)
+    numbers = np.asarray(groups)
+    index = np.minimum(np.searchsorted(numbers, values), len(numbers) - 1)
+    strange = np.flatnonzero(numbers[index] != values)
     if strange.size:
         raise SceneError(
             f"{source}: particle {frame['particle_id'][strange[0]]} has {by}={values[strange[0]]}, which is not among "
             f"the groups {list(groups)}; pass groups= with every value that occurs"
         )
-    return row
+    return index
 
 
 def without_frozen(frame: Frame) -> Frame:
@@ -225,13 +225,13 @@ def steps_in(
 
     Numbers of the steps themselves, such as times, are in the frames, too.
     """
-    of_step = [name for name, a in arrays.items() if a.ndim == 1 and name not in OF_STEP]
-    rows = {name: a for name, a in arrays.items() if name not in (*OF_STEP, *of_step)}
+    of_steps = [name for name, a in arrays.items() if a.ndim == 1 and name not in OF_STEP]
+    of_rows = {name: a for name, a in arrays.items() if name not in (*OF_STEP, *of_steps)}
     for t in range(len(next(iter(arrays.values())))):
         source = f"frame {t} of its chunk"
         if "step" in arrays:
             source = f"step {arrays['step'][t]}"
         box = {name: arrays[name][t] for name in BOX if name in arrays}
-        frame = frame_of(rows, t, source, dims)
-        frame.update({name: arrays[name][t] for name in of_step})
+        frame = frame_of(of_rows, t, source, dims)
+        frame.update({name: arrays[name][t] for name in of_steps})
         yield frame, Lattice.of(box, periodic, source), source

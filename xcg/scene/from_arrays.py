@@ -44,31 +44,35 @@ def _split_steps(name: str, values: Any) -> list[NDArray]:
     )
 
 
-def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
-    """As `_split_steps`, for a scalar, vector or custom tensor; `rows` of each step decide which."""
+def _split_own(name: str, values: Any, counts: Sequence[int]) -> list[NDArray]:
+    """As `_split_steps`, for a scalar, vector or custom tensor; `counts` of each step decide which."""
     if _is_one_number(values):
         raise SceneError(
             f"{name!r} is one number, neither an argument nor an array: a variable of your own has a row for each "
             f"particle or contact, such as numpy.full(n, {values})"
         )
-    if len(values) == len(rows) and all(
-        np.shape(v)[:1] == (n,) for v, n in zip(values, rows, strict=True)
+    if len(values) == len(counts) and all(
+        np.shape(v)[:1] == (n,) for v, n in zip(values, counts, strict=True)
     ):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
-    if rows and set(rows) == {len(array)} and (len(rows) == 1 or not name.startswith("contact_")):
+    if (
+        counts
+        and set(counts) == {len(array)}
+        and (len(counts) == 1 or not name.startswith("contact_"))
+    ):
         return [array]
-    if name.startswith("contact_") and not any(rows):
+    if name.startswith("contact_") and not any(counts):
         raise SceneError(
             f"{name!r} is a variable of contacts, as its name begins with 'contact_', and there are none: give them as "
             "contact_i= and contact_j=, or give a variable of particles another name"
         )
-    counts = ", ".join(map(str, rows[:3]))
-    if len(rows) > 3:
-        counts += ", ..."
+    shown = ", ".join(map(str, counts[:3]))
+    if len(counts) > 3:
+        shown += ", ..."
     raise SceneError(
         f"{name!r} has shape {getattr(values, 'shape', (len(values), '...'))}: expected (n,), (n, 3) or (n, 3, 3) for "
-        f"a step, with n = {counts}, and one such array for each of {len(rows)} steps"
+        f"a step, with n = {shown}, and one such array for each of {len(counts)} steps"
     )
 
 
@@ -189,21 +193,25 @@ def scene_from_arrays(
         sides=sides,
         **alike,
     )
-    given = {"position": position, **variables, "density": density}
-    given = {
-        name: values for name, values in given.items() if values is not None and name not in alike
+    values_by_name = {"position": position, **variables, "density": density}
+    values_by_name = {
+        name: values
+        for name, values in values_by_name.items()
+        if values is not None and name not in alike
     }
-    for name, values in (*given.items(), ("time", time)):
+    for name, values in (*values_by_name.items(), ("time", time)):
         for part in values if isinstance(values, (list, tuple)) else [values]:
             refuse_mask(name, part)
     steps = {
-        name: _split_steps(name, values) for name, values in given.items() if name in VARIABLES
+        name: _split_steps(name, values)
+        for name, values in values_by_name.items()
+        if name in VARIABLES
     }
     keys = {"particle": "position", "contact": "contact_i"}
-    for name in (name for name in given if name not in VARIABLES):
+    for name in (name for name in values_by_name if name not in VARIABLES):
         key = keys[variable(name).dims[0]]
-        rows = [len(values) for values in steps.get(key, [])]
-        steps[name] = _split_own(name, given[name], rows)
+        counts = [len(values) for values in steps.get(key, [])]
+        steps[name] = _split_own(name, values_by_name[name], counts)
     total = len(steps["position"])
     _repeat_what_stays(steps, total)
     numbers = np.arange(total)
@@ -270,10 +278,10 @@ def _stacked(frames: Sequence[Frame], key: str) -> Frame:
     """Stack the variables of frames, which are emptied, so that no more than one variable is there twice."""
     if not frames:
         return Frame()
-    rows = max(len(frame[key]) for frame in frames)
+    length = max(len(frame[key]) for frame in frames)
     arrays = Frame()
     for name in list(frames[0]):
-        arrays |= stack([{name: frame.pop(name)} for frame in frames], [name], rows)
+        arrays |= stack([{name: frame.pop(name)} for frame in frames], [name], length)
     return arrays
 
 
@@ -298,11 +306,11 @@ def _repeat_what_stays(steps: dict[str, list[NDArray]], total: int) -> None:
         counts = {other: len(values) for other, values in steps.items()}
         if len(steps[name]) != 1 or variable(name).dims[0] != "particle":
             raise SceneError(f"variables have different numbers of steps: {counts}")
-        rows = {len(values) for values in steps["position"]}
-        if rows != {len(steps[name][0])}:
+        lengths = {len(values) for values in steps["position"]}
+        if lengths != {len(steps[name][0])}:
             raise SceneError(
-                f"{name!r} is given once for {total} steps, and the steps have {sorted(rows)} particles: give a list "
-                "of one array for each step"
+                f"{name!r} is given once for {total} steps, and the steps have {sorted(lengths)} particles: give a "
+                "list of one array for each step"
             )
         ids = steps.get("particle_id", [])
         changed = [t for t, one in enumerate(ids) if not np.array_equal(one, ids[0])]
@@ -352,15 +360,15 @@ _OTHER_NAMES = {
 
 def _refuse_misspelt(names: Iterable[str]) -> None:
     """Raise SceneError for names of variables close to a known one; ``diameter_2`` is a name of its own."""
-    known = [*VARIABLES, *inspect.signature(scene_from_arrays).parameters]
+    words = [*VARIABLES, *inspect.signature(scene_from_arrays).parameters]
     for name in names:
         suggestion = ""
         if name in _OTHER_NAMES:
             suggestion = f"; did you mean {_OTHER_NAMES[name]}?"
         elif not any(
-            name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known
+            name.startswith(word) and not name[len(word) :][:1].isalpha() for word in words
         ):
-            suggestion = _likely_name(name, known)
+            suggestion = _likely_name(name, words)
         if suggestion:
             raise SceneError(
                 f"scene_from_arrays: {name!r} is neither an argument nor a variable of scenes{suggestion} Variables "
@@ -368,13 +376,13 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
             )
 
 
-def _likely_name(name: str, known: Sequence[str]) -> str:
+def _likely_name(name: str, names: Sequence[str]) -> str:
     """Return the known name that was probably meant, as the end of a message; "" without one."""
     # all variables of contacts share this prefix, which would make them alike
     prefix = ""
     if name.startswith("contact_"):
         prefix = "contact_"
-    alike = [word.removeprefix(prefix) for word in known if word.startswith(prefix)]
+    alike = [word.removeprefix(prefix) for word in names if word.startswith(prefix)]
     likely = did_you_mean(name.removeprefix(prefix), alike, 0.77)
     return likely.replace("'", f"'{prefix}", 1)
 
@@ -395,9 +403,9 @@ def _prefix(
     if other == "position":
         held = np.isfinite(values).any(axis=1)
     if len(held) == len(valid) and (held & ~valid).any():
-        row = int(np.flatnonzero(held & ~valid)[0])
+        index = int(np.flatnonzero(held & ~valid)[0])
         raise SceneError(
-            f"{source}: row {row} has {key!r} {PADDING}, which marks a row without data, and has {other!r}: {what}"
+            f"{source}: row {index} has {key!r} {PADDING}, which marks a row without data, and has {other!r}: {what}"
         )
     # other lengths are refused where the frame is completed
     fitting = [name for name, values in frame.items() if len(values) == len(valid)]

@@ -47,10 +47,10 @@ def warn_of_gaps(contacts: SphereContacts) -> None:
     A sample of large steps is checked.
     """
     pairs = contacts.sample
-    if not len(pairs.rows):
+    if not len(pairs.indices):
         return
     gap = -pairs.overlap
-    force = contacts.contacts["contact_force"][pairs.rows]
+    force = contacts.contacts["contact_force"][pairs.indices]
     wide = gap > _WIDE * pairs.touching
     across = gap > _GAP * pairs.touching
     pushing = np.einsum("nk,nk->n", force, pairs.branch) > 0
@@ -66,7 +66,7 @@ def warn_of_gaps(contacts: SphereContacts) -> None:
     warn_once(
         "gaps",
         f"{contacts.source}: {count} of {len(gap)} contacts looked at have a force across a "
-        f"gap ({contacts.named(pairs.rows[worst])}: {gap[worst]:.3g}, "
+        f"gap ({contacts.named(pairs.indices[worst])}: {gap[worst]:.3g}, "
         f"{gap[worst] / pairs.touching[worst]:.2g} of R_i + R_j), so that contact stress may have the "
         f"wrong sign: {_cause(contacts, pairs, across)}",
     )
@@ -99,9 +99,9 @@ def _cause(contacts: SphereContacts, pairs: Pairs, across: NDArray) -> str:
             f"positions have {decimals} decimals, and gaps are as large as their rounding: write positions "
             "with more digits"
         )
-    rows = pairs.rows[across]
-    partners = np.unique(contacts.contacts["contact_j"][rows])
-    if len(rows) >= _FEW_WIDE and len(partners) <= min(_FEW_WALLS, len(rows) - 1):
+    indices = pairs.indices[across]
+    partners = np.unique(contacts.contacts["contact_j"][indices])
+    if len(indices) >= _FEW_WIDE and len(partners) <= min(_FEW_WALLS, len(indices) - 1):
         listed = ", ".join(map(str, partners.tolist()))
         return (
             f"all of them are with contact_j = {listed}: walls with numbers of their own, most likely; give "
@@ -116,21 +116,21 @@ def _cause(contacts: SphereContacts, pairs: Pairs, across: NDArray) -> str:
 
 def _closed_by(contacts: SphereContacts, shift: int) -> bool:
     """Return whether nearly all spheres touch if the ids of all contacts are shifted."""
-    rows = contacts.sampled_rows
+    indices = contacts.sampled_indices
     ids = contacts.particles["particle_id"]
     ends = []
     for name in ("contact_i", "contact_j"):
-        numbers = contacts.contacts[name][rows]
+        numbers = contacts.contacts[name][indices]
         ends.append(np.where(numbers < 0, -1, rows_of(ids, numbers + shift)))
-    row_i, row_j = ends
-    known = (row_i >= 0) & (row_j >= 0)
-    if known.sum() < 2 or known.mean() < _CLOSED:
+    index_i, index_j = ends
+    exist = (index_i >= 0) & (index_j >= 0)
+    if exist.sum() < 2 or exist.mean() < _CLOSED:
         return False
-    row_i, row_j = row_i[known], row_j[known]
+    index_i, index_j = index_i[exist], index_j[exist]
     position = contacts.particles["position"]
-    branch = contacts.lattice.shortest(position[row_i] - position[row_j])
+    branch = contacts.lattice.shortest(position[index_i] - position[index_j])
     radius = contacts.particles["diameter"] / 2
-    gap = np.linalg.norm(branch, axis=1) / (radius[row_i] + radius[row_j]) - 1
+    gap = np.linalg.norm(branch, axis=1) / (radius[index_i] + radius[index_j]) - 1
     return bool((gap <= _TOUCHING).mean() >= _CLOSED)
 
 

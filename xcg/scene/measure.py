@@ -74,7 +74,7 @@ def size_statistics(scene: Scene) -> xr.Dataset:
     if not ds.sizes["particle"]:  # which dask takes no function over
         inputs = [a.compute() for a in inputs]
     table = xr.apply_ufunc(
-        _sizes_of_rows,
+        _sizes_of_steps,
         *inputs,
         input_core_dims=[["particle"]] * 2,
         output_core_dims=[["size"]],
@@ -90,10 +90,10 @@ def size_statistics(scene: Scene) -> xr.Dataset:
     return xr.Dataset(out)
 
 
-def _sizes_of_rows(diameter: NDArray, weight: NDArray) -> NDArray:
+def _sizes_of_steps(diameter: NDArray, weight: NDArray) -> NDArray:
     out = np.empty((*diameter.shape[:-1], len(SIZES)))
-    for step in np.ndindex(diameter.shape[:-1]):
-        is_grain = np.isfinite(diameter[step])
-        sizes = sizes_of(diameter[step][is_grain], weight[step][is_grain])
-        out[step] = [sizes[name] for name in SIZES]
+    for index in np.ndindex(diameter.shape[:-1]):
+        is_grain = np.isfinite(diameter[index])
+        sizes = sizes_of(diameter[index][is_grain], weight[index][is_grain])
+        out[index] = [sizes[name] for name in SIZES]
     return out

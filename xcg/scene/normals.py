@@ -27,32 +27,32 @@ def checked_normals(contacts: SphereContacts) -> NDArray:
     every = np.arange(0, len(normal), max(1, len(normal) // _SAMPLE))
     pairs = contacts.pairs(every)
     length = np.linalg.norm(pairs.branch, axis=1)
-    rows = pairs.rows[length > 0]
+    indices = pairs.indices[length > 0]
     unit = pairs.branch[length > 0] / length[length > 0, None]
-    cosine = np.einsum("nk,nk->n", unit, normal[rows])
-    is_set = normal[rows].any(axis=1)
+    cosine = np.einsum("nk,nk->n", unit, normal[indices])
+    is_set = normal[indices].any(axis=1)
     across = np.flatnonzero((np.abs(cosine) < _ANGLE) & is_set)
-    if across.size > max(1, _MOST * len(rows)):
-        row = rows[across[0]]
+    if across.size > max(1, _MOST * len(indices)):
+        first = indices[across[0]]
         raise SceneError(
-            f"{contacts.source}: 'contact_normal' of {across.size} of {len(rows)} contacts looked at is not "
-            f"along the line of centres ({contacts.named(row)}: {normal[row]}, but the centres give "
+            f"{contacts.source}: 'contact_normal' of {across.size} of {len(indices)} contacts looked at is not "
+            f"along the line of centres ({contacts.named(first)}: {normal[first]}, but the centres give "
             f"{unit[across[0]]}): drop its columns, names={{'column': None}}, and normals follow from "
             "positions"
         )
     opposite = (cosine < -_ANGLE).sum()
-    if opposite <= _MOST * len(rows):
+    if opposite <= _MOST * len(indices):
         return normal
     warn_once(
         "opposite normals",
-        f"{contacts.source}: 'contact_normal' of {opposite} of {len(rows)} contacts looked at points from "
-        f"contact_i to contact_j ({contacts.named(rows[np.argmin(cosine)])}), and is turned: normals point "
+        f"{contacts.source}: 'contact_normal' of {opposite} of {len(indices)} contacts looked at points from "
+        f"contact_i to contact_j ({contacts.named(indices[np.argmin(cosine)])}), and is turned: normals point "
         "from j to i. To take them from positions, drop their columns by names={'column': None}",
     )
     pairs = contacts.pairs(np.arange(len(normal)))
     turned = normal.copy()
-    turned[pairs.rows] *= np.where(
-        np.einsum("nk,nk->n", pairs.branch, normal[pairs.rows]) < 0, -1.0, 1.0
+    turned[pairs.indices] *= np.where(
+        np.einsum("nk,nk->n", pairs.branch, normal[pairs.indices]) < 0, -1.0, 1.0
     )[:, None]
     return turned
 
@@ -65,22 +65,22 @@ def _of_unit_length(contacts: SphereContacts) -> NDArray:
     normal = contacts.contacts["contact_normal"]
     length = np.sqrt(np.einsum("nk,nk->n", normal, normal))
     pairs = contacts.pairs(np.flatnonzero(length == 0))
-    if pairs.rows.size:
+    if pairs.indices.size:
         warn_once(
             "normals of zero",
-            f"{contacts.source}: 'contact_normal' of {pairs.rows.size} of {len(length)} contacts is zero "
-            f"({contacts.named(pairs.rows[0])}), and is taken from positions",
+            f"{contacts.source}: 'contact_normal' of {pairs.indices.size} of {len(length)} contacts is zero "
+            f"({contacts.named(pairs.indices[0])}), and is taken from positions",
         )
         normal = normal.copy()
-        normal[pairs.rows] = unit_vectors(pairs.branch)
+        normal[pairs.indices] = unit_vectors(pairs.branch)
     wrong = np.flatnonzero((np.abs(length - 1) > _LENGTH) & (length > 0))
     if not wrong.size:
         return normal
-    row = wrong[0]
+    first = wrong[0]
     warn_once(
         "length of normals",
         f"{contacts.source}: 'contact_normal' of {wrong.size} of {len(length)} contacts has another length "
-        f"than 1 ({contacts.named(row)}: {length[row]:.4g}), and is divided by it. If the columns are a "
+        f"than 1 ({contacts.named(first)}: {length[first]:.4g}), and is divided by it. If the columns are a "
         "branch or a force, map them to that by names=",
     )
     scaled = normal.copy()

@@ -308,15 +308,15 @@ def _unless_padding(ids: NDArray, *values: NDArray, function: Any) -> NDArray:
 def _nearest(diameter: NDArray, density: NDArray, *, centres: NDArray, scale: NDArray) -> NDArray:
     from scipy.spatial import cKDTree
 
-    _, row = cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)
-    return np.asarray(row) + 1
+    _, index = cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)
+    return np.asarray(index) + 1
 
 
 def _mapped(values: NDArray, *, table: Mapping[int, int], name: str) -> NDArray:
-    types, row = np.unique(values, return_inverse=True)
+    types, index = np.unique(values, return_inverse=True)
     unknown = [value for value in types.tolist() if value not in table]
     if unknown:
         raise SceneError(
             f"mapping={dict(table)!r} lacks {name}={unknown}, which grains have; add all that occur"
         )
-    return np.array([table[value] for value in types.tolist()], "int64")[row]
+    return np.array([table[value] for value in types.tolist()], "int64")[index]

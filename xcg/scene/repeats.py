@@ -25,7 +25,7 @@ _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
 # this share of the smaller distance from the centre: the lever arm, which bodies of any shape have.
 _OPPOSITE = 0.25
 _SMALL_FORCE = 0.01
-_ONE_PLACE = 0.15
+_ONE_POINT = 0.15
 # variables whose sign depends on the side
 _OF_SIDE = ("contact_force", "contact_normal")
 
@@ -56,12 +56,12 @@ def without_repeats(
     SceneError
         If a contact is listed from both sides with the same force.
     """
-    rows, pair = repeated_pairs(contacts["contact_i"], contacts["contact_j"])
-    if not rows.size:
+    indices, pair = repeated_pairs(contacts["contact_i"], contacts["contact_j"])
+    if not indices.size:
         return contacts
-    repeats = _Repeats.of(contacts, rows, pair, particles, lattice)
+    repeats = _Repeats.of(contacts, indices, pair, particles, lattice)
     copied, has_both_sides = _copies(repeats, number, source)
-    dropped = repeats.rows[copied]
+    dropped = repeats.indices[copied]
     if sides != "separate":
         merged = _mirrored(repeats.kept(~copied), ~has_both_sides[~copied])
         if merged.unlike.size:
@@ -77,7 +77,7 @@ def without_repeats(
 
 
 def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the rows of all pairs that have several contacts, pair after pair, and a number for the pair of each.
+    """Return the indices of contacts whose pair has several, pair after pair, and a number for the pair of each.
 
     The order of i and j makes no difference. Spheres touch once: one sort shows that no pair
     repeats.
@@ -113,7 +113,7 @@ class _Repeats:
 
     Attributes
     ----------
-    rows, pair : array (n,)
+    indices, pair : array (n,)
         See `repeated_pairs`.
     mirrored : array (n,)
         Whether the first partner has the larger id.
@@ -128,7 +128,7 @@ class _Repeats:
         Periodic images.
     """
 
-    rows: NDArray
+    indices: NDArray
     pair: NDArray
     mirrored: NDArray
     force: NDArray
@@ -139,23 +139,23 @@ class _Repeats:
 
     @classmethod
     def of(
-        cls, contacts: Frame, rows: NDArray, pair: NDArray, particles: Frame, lattice: Lattice
+        cls, contacts: Frame, indices: NDArray, pair: NDArray, particles: Frame, lattice: Lattice
     ) -> _Repeats:
         """Sort the rows of each pair by the size of their force."""
-        size = np.linalg.norm(contacts["contact_force"][rows], axis=1)
+        size = np.linalg.norm(contacts["contact_force"][indices], axis=1)
         order = np.lexsort((size, pair))
-        rows = rows[order]
-        particle = rows_of(particles["particle_id"], contacts["contact_i"][rows])
-        partner = rows_of(particles["particle_id"], contacts["contact_j"][rows])
+        indices = indices[order]
+        particle = rows_of(particles["particle_id"], contacts["contact_i"][indices])
+        partner = rows_of(particles["particle_id"], contacts["contact_j"][indices])
         particle = np.where(particle >= 0, particle, partner)
-        point = contacts["contact_point"][rows]
+        point = contacts["contact_point"][indices]
         centre = point.copy()
         centre[particle >= 0] = particles["position"][particle[particle >= 0]]
         return cls(
-            rows=rows,
+            indices=indices,
             pair=pair[order],
-            mirrored=contacts["contact_i"][rows] > contacts["contact_j"][rows],
-            force=contacts["contact_force"][rows],
+            mirrored=contacts["contact_i"][indices] > contacts["contact_j"][indices],
+            force=contacts["contact_force"][indices],
             point=point,
             size=size[order],
             radius=np.linalg.norm(lattice.shortest(point - centre), axis=1),
@@ -165,7 +165,7 @@ class _Repeats:
     def kept(self, chosen: NDArray) -> _Repeats:
         """Return the contacts that a mask (n,) selects."""
         return _Repeats(
-            rows=self.rows[chosen],
+            indices=self.indices[chosen],
             pair=self.pair[chosen],
             mirrored=self.mirrored[chosen],
             force=self.force[chosen],
@@ -177,7 +177,7 @@ class _Repeats:
 
     def of_one_pair(self) -> Iterator[tuple[int, NDArray]]:
         """Yield distances in the list, and whether the rows so far apart are of one pair (n - distance,)."""
-        for distance in range(1, min(len(self.rows), _MOST_CONTACTS_A_PAIR)):
+        for distance in range(1, min(len(self.indices), _MOST_CONTACTS_A_PAIR)):
             same = self.pair[distance:] == self.pair[:-distance]
             if not same.any():
                 return
@@ -200,8 +200,8 @@ def _copies(repeats: _Repeats, number: NDArray, source: str) -> tuple[NDArray, N
     SceneError
         If a contact is listed from both sides with the same force.
     """
-    copied = np.zeros(len(repeats.rows), bool)
-    has_both_sides = np.zeros(len(repeats.rows), bool)
+    copied = np.zeros(len(repeats.indices), bool)
+    has_both_sides = np.zeros(len(repeats.indices), bool)
     force = repeats.force
     size = repeats.size
     radius = repeats.radius
@@ -229,8 +229,8 @@ def _copies(repeats: _Repeats, number: NDArray, source: str) -> tuple[NDArray, N
             first = one[wrong[0]]
             second = other[wrong[0]]
             raise SceneError(
-                f"{source}: contact rows {number[repeats.rows[first]]} and "
-                f"{number[repeats.rows[second]]} list one contact from both sides with the same force, "
+                f"{source}: contact rows {number[repeats.indices[first]]} and "
+                f"{number[repeats.indices[second]]} list one contact from both sides with the same force, "
                 f"{force[first]}, so that both sides cancel; contact_force is that on contact_i: turn "
                 "the sign of one of them, or list each contact once"
             )
@@ -248,7 +248,7 @@ class _Mirrored:
     mismatch : array (m,)
         Difference of both forces, over the larger.
     unlike : array (k, 2)
-        Rows at one place whose forces differ by more, and that are no contact with a third one.
+        Rows at one point whose forces differ by more, and that are no contact with a third one.
     """
 
     first: NDArray
@@ -282,19 +282,21 @@ def _mirrored(repeats: _Repeats, free: NDArray) -> _Mirrored:
             other = some + distance
             mismatch = np.linalg.norm(force[some] + force[other], axis=1)
             larger = np.maximum(np.maximum(size[some], size[other]), least)
-            near = repeats.gap(some, other) <= _ONE_PLACE * np.minimum(radius[some], radius[other])
+            near = repeats.gap(some, other) <= _ONE_POINT * np.minimum(radius[some], radius[other])
             same = near & (mismatch <= _OPPOSITE * larger)
             beside.append(np.stack([some, other], axis=1)[near & ~same])
             free[some[same]] = False
             free[other[same]] = False
-            pairs.append(np.sort([repeats.rows[some[same]], repeats.rows[other[same]]], axis=0))
+            pairs.append(
+                np.sort([repeats.indices[some[same]], repeats.indices[other[same]]], axis=0)
+            )
             zero = np.zeros(same.sum())
             mismatches.append(
                 np.divide(mismatch[same], larger[same], out=zero, where=larger[same] > 0)
             )
     first, second = np.concatenate(pairs, axis=1)
     unlike = np.concatenate(beside)
-    unlike = repeats.rows[unlike[free[unlike].all(axis=1)]]
+    unlike = repeats.indices[unlike[free[unlike].all(axis=1)]]
     return _Mirrored(first, second, np.concatenate(mismatches), unlike)
 
 
@@ -313,12 +315,12 @@ def _warn_of_mirrored(mismatch: NDArray, sides: Sides, source: str) -> None:
 
 
 def _warn_of_unlike(contacts: Frame, unlike: NDArray, source: str) -> None:
-    row, other = unlike[0]
-    i, j = contacts["contact_i"][row], contacts["contact_j"][row]
+    index, other = unlike[0]
+    i, j = contacts["contact_i"][index], contacts["contact_j"][index]
     warn_once(
         "unlike sides of contacts",
         f"{source}: {len(unlike)} contacts are listed from both sides with forces that differ by more than "
-        f"{_OPPOSITE:g} of the larger, such as {contacts['contact_force'][row]} on particle {i} and "
+        f"{_OPPOSITE:g} of the larger, such as {contacts['contact_force'][index]} on particle {i} and "
         f"{contacts['contact_force'][other]} on particle {j}: both rows count, so that stress and coordination may be "
         "twice as large; list each contact once, or pass sides='separate' if these are contacts of their own",
     )

@@ -64,9 +64,9 @@ def check_motion(first: Frame, second: Frame, lapse: float, lattice: Lattice) ->
     if not {"velocity", "particle_id"} <= set(first) & set(second):
         return
     some = sample_of(len(first["position"]))
-    rows = rows_of(second["particle_id"], first["particle_id"][some])
-    before = {name: values[some][rows >= 0] for name, values in first.items()}
-    after = {name: values[rows[rows >= 0]] for name, values in second.items()}
+    indices = rows_of(second["particle_id"], first["particle_id"][some])
+    before = {name: values[some][indices >= 0] for name, values in first.items()}
+    after = {name: values[indices[indices >= 0]] for name, values in second.items()}
     if len(after["position"]) < FEW:
         return
     moved = after["position"] - before["position"]

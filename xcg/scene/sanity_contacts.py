@@ -18,7 +18,7 @@ _OFF = 0.1  # largest distance of the ends in a file from the centres, in branch
 
 
 def check_contacts(
-    frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattice, source: str
+    frame: Frame, index_i: NDArray, index_j: NDArray, lattice: Lattice, source: str
 ) -> None:
     """Warn of contact points far from the centres of their grains, and of contacts that pull nearly throughout.
 
@@ -27,22 +27,22 @@ def check_contacts(
     frame : Frame
         Particles and contacts of one step.
     row_i, row_j : array (contacts,)
-        Rows of the partners among the particles, negative where they are not there.
+        Indices of the partners among the particles, negative where they are not there.
     lattice : Lattice
         Periodic images.
     source : str
         Names the step.
     """
-    if not len(frame["position"]) or not len(row_i):
+    if not len(frame["position"]) or not len(index_i):
         return
-    some = sample_of(len(row_i))
-    row_i = row_i[some]
-    row_j = row_j[some]
+    some = sample_of(len(index_i))
+    index_i = index_i[some]
+    index_j = index_j[some]
     point = frame["contact_point"][some]
-    side_i = _side(frame["position"], row_i, point, lattice)
-    side_j = _side(frame["position"], row_j, point, lattice)
+    side_i = _side(frame["position"], index_i, point, lattice)
+    side_j = _side(frame["position"], index_j, point, lattice)
     if "diameter" in frame:
-        larger = np.maximum(_diameter(frame, row_i), _diameter(frame, row_j))
+        larger = np.maximum(_diameter(frame, index_i), _diameter(frame, index_j))
         length_i, length_j = (np.sqrt(np.einsum("nk,nk->n", s, s)) for s in (side_i, side_j))
         away = np.maximum(length_i, length_j)
         distance = np.divide(away, larger, out=np.zeros_like(away), where=larger > 0.0)
@@ -51,20 +51,20 @@ def check_contacts(
             _warn_of_far(frame, some, far, distance, source)
             return
     if "contact_force" in frame:
-        side_i[row_i < 0] = -side_j[row_i < 0]
+        side_i[index_i < 0] = -side_j[index_i < 0]
         _check_tension(np.einsum("nk,nk->n", frame["contact_force"][some], side_i), source)
 
 
-def _side(position: NDArray, row: NDArray, point: NDArray, lattice: Lattice) -> NDArray:
+def _side(position: NDArray, index: NDArray, point: NDArray, lattice: Lattice) -> NDArray:
     """Return the vectors (n, 3) from contact points to a particle of each contact, zero where it is not there."""
-    side = lattice.shortest(position[row] - point)
-    side[row < 0] = 0.0
+    side = lattice.shortest(position[index] - point)
+    side[index < 0] = 0.0
     return side
 
 
-def _diameter(frame: Frame, row: NDArray) -> NDArray:
+def _diameter(frame: Frame, index: NDArray) -> NDArray:
     """Return the diameters (n,) of particles, zero where they are not there."""
-    return np.where(row < 0, 0.0, frame["diameter"][row])
+    return np.where(index < 0, 0.0, frame["diameter"][index])
 
 
 def _warn_of_far(frame: Frame, some: slice, far: NDArray, distance: NDArray, source: str) -> None:
@@ -124,13 +124,13 @@ def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> N
         Names the step.
     """
     some = sample_of(len(raw["contact_i"]))
-    row_i, row_j = (
+    index_i, index_j = (
         rows_of(particles["particle_id"], np.asarray(raw[name][some], "int64"))
         for name in ("contact_i", "contact_j")
     )
-    pairs = np.flatnonzero((row_i >= 0) & (row_j >= 0))
+    pairs = np.flatnonzero((index_i >= 0) & (index_j >= 0))
     ends = lattice.shortest(raw["wrapped_branch"][some][pairs])
-    centres = particles["position"][row_i[pairs]] - particles["position"][row_j[pairs]]
+    centres = particles["position"][index_i[pairs]] - particles["position"][index_j[pairs]]
     away = np.linalg.norm(lattice.shortest(ends - centres), axis=1)
     off = np.flatnonzero(away > _OFF * np.linalg.norm(ends, axis=1))
     if off.size:

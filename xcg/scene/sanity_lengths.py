@@ -184,22 +184,22 @@ def _short_period(grains: Particles) -> str | None:
         outside = np.flatnonzero((x < low) | (x > high))
         if len(outside) < max(FEW, _MOVED * grains.count):
             continue
-        rows = outside[:: max(1, len(outside) // _FEW_MOVED)][:_FEW_MOVED]
+        some = outside[:: max(1, len(outside) // _FEW_MOVED)][:_FEW_MOVED]
         before = 0
         after = 0
-        for row in rows:
-            away = position - position[row]
-            touching = 0.5 * _ON_OTHERS * (diameter + diameter[row])
+        for index in some:
+            away = position - position[index]
+            touching = 0.5 * _ON_OTHERS * (diameter + diameter[index])
             # the grain itself is one of them
             before += int(np.count_nonzero((away**2).sum(axis=1) < touching**2) > 1)
             moved = grains.lattice.shortest(away)
             after += int(np.count_nonzero((moved**2).sum(axis=1) < touching**2) > 1)
-        if after <= 0.5 * len(rows) or before > 0.1 * len(rows):
+        if after <= 0.5 * len(some) or before > 0.1 * len(some):
             continue
         axis = COMPONENTS[k]
         return (
             f"the box is periodic along {axis!r} with a length of {high - low:.4g}, and grains lie at {x.min():.4g} to "
-            f"{x.max():.4g}: {after} of {len(rows)} grains outside the box that were looked at lie on others once they "
+            f"{x.max():.4g}: {after} of {len(some)} grains outside the box that were looked at lie on others once they "
             "are moved inside, so that volume fractions and stresses are too large. The box is too short or in another "
             f"unit: give its edges, box={{{axis!r}: (low, high)}}, or periodic= without {axis!r}"
         )

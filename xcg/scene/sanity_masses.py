@@ -30,10 +30,10 @@ def _contradiction(grains: Particles) -> str | None:
     wrong = np.flatnonzero((np.abs(mass - expected) > _DIGITS * expected) & (mass > 0))
     if not wrong.size:
         return None
-    row = wrong[0]
+    index = wrong[0]
     numbers = (
-        f"{wrong.size} of {len(mass)} particles looked at, such as id {sample['particle_id'][row]}: mass "
-        f"{mass[row]:.6g}, density {density[row]:.6g}, diameter {d[row]:.6g}, volume {volume[row]:.6g}"
+        f"{wrong.size} of {len(mass)} particles looked at, such as id {sample['particle_id'][index]}: mass "
+        f"{mass[index]:.6g}, density {density[index]:.6g}, diameter {d[index]:.6g}, volume {volume[index]:.6g}"
     )
     thickness = mass / (density * np.pi / 4 * d**2)
     depth = thickness.mean()

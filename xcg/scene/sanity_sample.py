@@ -1,4 +1,4 @@
-"""Grains of one step as the checks of plausible scenes take them: samples of rows, and neighbours in a small region."""
+"""Grains of one step as the checks of plausible scenes take them: samples, and neighbours in a small region."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame, Setup
 
 FEW = 20  # grains or contacts that are too few for a verdict
-_SAMPLE = 4096  # rows looked at, spread over all
+_SAMPLE = 4096  # particles or contacts looked at, spread over all
 _REGION = 300  # grains of a region whose neighbours are looked at
 _HALVINGS = 30  # of a region, until it holds so few
 _BLOCK = 64  # grains of a region that are compared with the others at once
@@ -25,9 +25,9 @@ _ALIGNED = {2: 0.22, 3: 0.1}  # least share of parallel pairs in a lattice
 _EVEN = 0.1  # most scatter of nearest distances in a lattice
 
 
-def sample_of(rows: int) -> slice:
-    """Return rows spread over all of them, about 4096."""
-    return slice(None, None, max(1, rows // _SAMPLE))
+def sample_of(count: int) -> slice:
+    """Return a slice that spreads about 4096 samples over all."""
+    return slice(None, None, max(1, count // _SAMPLE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class Particles:
 
     @cached_property
     def sample(self) -> Frame:
-        """Rows spread over all particles."""
+        """Variables of particles spread over all."""
         some = sample_of(self.count)
         return {name: values[some] for name, values in self.frame.items()}
 
@@ -108,16 +108,16 @@ class Particles:
         directions = []
         # of so few, all pairs are quicker than the import of a tree; in blocks, which take less memory
         for first in range(0, len(inside), _BLOCK):
-            rows = np.arange(first, min(first + _BLOCK, len(inside)))
-            away = np.sqrt(sum((x[rows, None] - x) ** 2 for x in position.T))
-            away[rows - first, rows] = np.inf
-            ratio = 2 * away / (diameter[rows, None] + diameter)
+            indices = np.arange(first, min(first + _BLOCK, len(inside)))
+            away = np.sqrt(sum((x[indices, None] - x) ** 2 for x in position.T))
+            away[indices - first, indices] = np.inf
+            ratio = 2 * away / (diameter[indices, None] + diameter)
             if len(inside) < self.count:  # the nearest grain may be outside of the region
-                is_known = to_edge[rows] >= away.min(axis=1)
-                ratio = ratio[is_known]
-                rows = rows[is_known]
+                is_nearest = to_edge[indices] >= away.min(axis=1)
+                ratio = ratio[is_nearest]
+                indices = indices[is_nearest]
             nearest.append(np.sort(ratio, axis=1)[:, :_CROWD])
-            directions.append(position[rows] - position[ratio.argmin(axis=1)])
+            directions.append(position[indices] - position[ratio.argmin(axis=1)])
         return np.concatenate(nearest), np.concatenate(directions)
 
     @property
@@ -132,13 +132,13 @@ class Particles:
         return bool(parallel > _ALIGNED[len(self.setup.axes)] * len(units) * (len(units) - 1))
 
     def _around(self, middle: NDArray, reach: float) -> NDArray:
-        """Return the rows of the particles in a cube, axis by axis, as few are left after the first."""
+        """Return the indices of the particles in a cube, axis by axis, as few are left after the first."""
         position = self.frame["position"]
-        rows = np.arange(self.count)
+        indices = np.arange(self.count)
         for k in self.setup.axes:
-            x = position[:, k] if len(rows) == self.count else position[rows, k]
-            rows = rows[(x >= middle[k] - reach) & (x <= middle[k] + reach)]
-        return rows
+            x = position[:, k] if len(indices) == self.count else position[indices, k]
+            indices = indices[(x >= middle[k] - reach) & (x <= middle[k] + reach)]
+        return indices
 
     def outside(self, k: int, position: NDArray, room: float) -> float:
         """Return the share of positions (n,) that are farther than `room` (m) from the box along an axis."""

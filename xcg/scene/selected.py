@@ -129,7 +129,7 @@ def _mask(ds: xr.Dataset, condition: xr.DataArray | str) -> xr.DataArray:
 
 def _evaluate(ds: xr.Dataset, expression: str) -> xr.DataArray:
     """Evaluate an expression of the particles' variables."""
-    known = {
+    variables = {
         str(name): values.variable
         for name, values in ds.data_vars.items()
         if values.dims == ("time", "particle")
@@ -137,13 +137,13 @@ def _evaluate(ds: xr.Dataset, expression: str) -> xr.DataArray:
     for letter, name in _VECTORS.items():
         if name in ds:
             for axis in COMPONENTS:
-                known.setdefault(
+                variables.setdefault(
                     f"{letter}{axis}", ds[name].sel(component=axis, drop=True).variable
                 )
     try:
-        return xr.DataArray(evaluate(expression, known))
+        return xr.DataArray(evaluate(expression, variables))
     except NameError as error:
-        unknown_name = unknown("variable", error.name, known, synonyms=_OTHER_NAMES)
+        unknown_name = unknown("variable", error.name, variables, synonyms=_OTHER_NAMES)
         raise ValueError(f"select({plain(expression)}): {unknown_name}") from None
     except SyntaxError as error:
         reason = error.msg
@@ -175,12 +175,12 @@ def _of_particles(
 ) -> NDArray:
     """Return which contacts (t, contacts) have one of the particles (t, particles), or only such ones."""
     kept = np.empty(contact_i.shape, bool)
-    for step, (i, j) in enumerate(zip(contact_i, contact_j, strict=True)):
-        i_selected = np.isin(i, ids[step])
-        j_selected = np.isin(j, ids[step])
-        kept[step] = (i_selected | j_selected) & (i != PADDING)
+    for t, (i, j) in enumerate(zip(contact_i, contact_j, strict=True)):
+        i_selected = np.isin(i, ids[t])
+        j_selected = np.isin(j, ids[t])
+        kept[t] = (i_selected | j_selected) & (i != PADDING)
         if outside == "drop":
-            kept[step] &= (i_selected | (i < 0)) & (j_selected | (j < 0))
+            kept[t] &= (i_selected | (i < 0)) & (j_selected | (j < 0))
     return kept
 
 

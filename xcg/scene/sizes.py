@@ -64,11 +64,11 @@ def _median_by(values: NDArray, weights: NDArray) -> float:
     if len(values) > _BINS and np.isfinite(per_value) and weights.min() >= 0:
         scaled = values - values.min()
         scaled *= per_value
-        place = scaled.astype("int16")
-        sums = np.cumsum(np.bincount(place, weights, _BINS))
+        bin_of = scaled.astype("int16")
+        sums = np.cumsum(np.bincount(bin_of, weights, _BINS))
         total = sums[-1]
         middle = int(np.searchsorted(sums, 0.5 * total))
-        near = np.flatnonzero(place == middle)
+        near = np.flatnonzero(bin_of == middle)
         if middle:
             below = sums[middle - 1]
     near = near[np.argsort(values[near])]
@@ -195,20 +195,20 @@ def _first_and_last(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
     frames = []
     for t in sorted({0, ds.sizes["time"] - 1} & set(range(ds.sizes["time"]))):
         held = arrays["particle_id"][t] != PADDING
-        rows: Any = slice(None) if held.all() else held  # without a copy where they are all
-        frames.append({name: values[t][rows] for name, values in arrays.items()})
+        particles: Any = slice(None) if held.all() else held  # without a copy where they are all
+        frames.append({name: values[t][particles] for name, values in arrays.items()})
     return frames
 
 
-def _within(name: str, frame: Frame, known: Mapping[Any, Any]) -> bool:
+def _within(name: str, frame: Frame, ranges: Mapping[Any, Any]) -> bool:
     """Return whether positions or diameters of a frame lie inside the range of them that is known."""
     values = frame.get(name)
     if values is None or not len(values):
         return True
     low, high = _RANGES[name]
-    if low not in known:
+    if low not in ranges:
         return False
-    lower, upper = (np.ravel(known[end]) for end in (low, high))
+    lower, upper = (np.ravel(ranges[end]) for end in (low, high))
     small = 1e-9 * np.abs([lower, upper]).max()
     inside = zip(np.atleast_2d(values.T), lower - small, upper + small, strict=True)
     return all(x.min() >= least and x.max() <= most for x, least, most in inside)

@@ -31,16 +31,18 @@ def are_spheres(particles: Frame) -> bool:
     return "diameter" in particles and "half_axis_x" not in particles
 
 
-def nearest_branches(apart: NDArray, seen: NDArray | None, lattice: Lattice) -> NDArray | None:
-    """Return the images of vectors (n, 3) nearest to branches `seen` in the data, or None.
+def nearest_branches(
+    apart: NDArray, data_branch: NDArray | None, lattice: Lattice
+) -> NDArray | None:
+    """Return the images of vectors (n, 3) nearest to the branches in the data, or None.
 
     None if the data hold no branches, or vectors that are not those between the positions.
     """
-    if seen is None:
+    if data_branch is None:
         return None
-    branch = lattice.shortest(apart, seen)
-    off = np.linalg.norm(branch - seen, axis=1)
-    if not (off <= SAME_BRANCH * np.linalg.norm(seen, axis=1)).all():
+    branch = lattice.shortest(apart, data_branch)
+    off = np.linalg.norm(branch - data_branch, axis=1)
+    if not (off <= SAME_BRANCH * np.linalg.norm(data_branch, axis=1)).all():
         return None
     return branch
 
@@ -67,8 +69,8 @@ class Pairs:
 
     Attributes
     ----------
-    rows : array (n,)
-        Rows of the contacts.
+    indices : array (n,)
+        Indices of the contacts.
     radius_i, radius_j : array (n,)
         Radii of both spheres (m).
     branch : array (n, 3)
@@ -77,7 +79,7 @@ class Pairs:
         Vectors from the contact point to i and to j, added up (m); None without contact points.
     """
 
-    rows: NDArray
+    indices: NDArray
     radius_i: NDArray
     radius_j: NDArray
     branch: NDArray
@@ -107,8 +109,8 @@ class SphereContacts:
     particles : Frame
         Particles of the same step, with diameters.
     row_i, row_j : array (n,)
-        Rows of both partners among the particles, negative for partners that are not there.
-    seen : array (n, 3) or None
+        Indices of both partners among the particles, negative for partners that are not there.
+    data_branch : array (n, 3) or None
         Branches in the data (m), which select the images.
     source : str
         File and step, for messages.
@@ -117,35 +119,35 @@ class SphereContacts:
     contacts: Frame
     number: NDArray
     particles: Frame
-    row_i: NDArray
-    row_j: NDArray
-    seen: NDArray | None
+    index_i: NDArray
+    index_j: NDArray
+    data_branch: NDArray | None
     lattice: Lattice
     source: str
 
-    def rows_without_contact(self) -> NDArray:
-        """Return the rows of pairs that have no force and do not touch. Warn of them.
+    def without_contact(self) -> NDArray:
+        """Return the indices of pairs that have no force and do not touch. Warn of them.
 
         Lists of neighbours hold such pairs. Spheres that touch without a force are contacts, and
         so are spheres that a force joins across a gap, such as a capillary bridge.
         """
         force = self.contacts["contact_force"]
-        rows = np.flatnonzero(force[:, 0] == 0.0)  # by one component first, as there are few
-        rows = rows[(force[rows] == 0.0).all(axis=1)]
-        if not rows.size:
-            return rows
-        pairs = self.pairs(rows)
+        indices = np.flatnonzero(force[:, 0] == 0.0)  # by one component first, as there are few
+        indices = indices[(force[indices] == 0.0).all(axis=1)]
+        if not indices.size:
+            return indices
+        pairs = self.pairs(indices)
         apart = np.flatnonzero(pairs.overlap < -_ROUNDING * pairs.touching)
-        rows = pairs.rows[apart]
-        if rows.size:
+        indices = pairs.indices[apart]
+        if indices.size:
             warn_once(
                 "pairs without contact",
-                f"{self.source}: {rows.size} of {len(force)} rows of contacts have no force, and a "
-                f"gap between their spheres ({self.named(rows[0])}: {-pairs.overlap[apart[0]]:.3g}), "
+                f"{self.source}: {indices.size} of {len(force)} rows of contacts have no force, and a "
+                f"gap between their spheres ({self.named(indices[0])}: {-pairs.overlap[apart[0]]:.3g}), "
                 "as pairs in a list of neighbours have: they are no contacts and are dropped. LAMMPS "
                 "leaves them out where compute pair/local and property/local say 'cutoff radius'",
             )
-        return rows
+        return indices
 
     def checked_overlaps(self, column: str) -> NDArray:
         """Return the overlaps (n,); if they are not overlaps, warn and compute them from the spheres.
@@ -156,25 +158,25 @@ class SphereContacts:
             Name of the overlaps in the file, for the message.
         """
         overlap = self.contacts["overlap"]
-        rows = self.sample.rows
+        indices = self.sample.indices
         expected = self.sample.overlap
-        if rows.size:
-            plausible = self._agree(rows, expected)
+        if indices.size:
+            plausible = self._agree(indices, expected)
         else:
-            rows = self._walls_among(self.sampled_rows)
-            if not rows.size:
+            indices = self._walls_among(self.sampled_indices)
+            if not indices.size:
                 return overlap
-            expected = self._depths(rows)
+            expected = self._depths(indices)
             # codes put the point at R (which tells no overlap), R - overlap / 2 or R - overlap
-            plausible = bool(np.median(expected) <= self._rounding(rows))
-            plausible |= any(self._agree(rows, k * expected) for k in (1.0, 2.0))
+            plausible = bool(np.median(expected) <= self._rounding(indices))
+            plausible |= any(self._agree(indices, k * expected) for k in (1.0, 2.0))
         if plausible:
             return overlap
-        worst = np.argmax(np.abs(overlap[rows] - expected))
+        worst = np.argmax(np.abs(overlap[indices] - expected))
         warn_once(
             f"overlaps from {column}",
-            f"{self.source}: {column!r} is not the overlap ({self.named(rows[worst])}: "
-            f"{overlap[rows[worst]]:.3g}, but radii and positions give {expected[worst]:.3g}): "
+            f"{self.source}: {column!r} is not the overlap ({self.named(indices[worst])}: "
+            f"{overlap[indices[worst]]:.3g}, but radii and positions give {expected[worst]:.3g}): "
             "overlaps are computed from radii and positions instead. Name the column by what it "
             f"is, such as names={{{column!r}: 'contact_area'}}, or drop it by None",
         )
@@ -182,7 +184,7 @@ class SphereContacts:
         pairs = self.pairs(every)
         walls = self._walls_among(every)
         computed = overlap.copy()
-        computed[pairs.rows] = pairs.overlap
+        computed[pairs.indices] = pairs.overlap
         if walls.size:
             computed[walls] = self._depths(walls)
         return computed
@@ -203,7 +205,7 @@ class SphereContacts:
         warn_once(
             "points in the middle",
             f"{self.source}: contact points lie midway between the centres of spheres of unequal "
-            f"sizes ({self.named(pairs.rows[tested][0])}), off both surfaces, as those of MercuryDPM "
+            f"sizes ({self.named(pairs.indices[tested][0])}), off both surfaces, as those of MercuryDPM "
             "before 2016: they are moved to where the spheres touch, R_i - overlap / 2 from the "
             "centre of i",
         )
@@ -212,7 +214,7 @@ class SphereContacts:
     def warn_of_points_elsewhere(self) -> None:
         """Warn if points lie far from the surfaces of both spheres, which touch."""
         pairs = self.sample
-        if pairs.side_sum is None or not len(pairs.rows):
+        if pairs.side_sum is None or not len(pairs.indices):
             return
         off_i = np.abs(_lengths(pairs.side_sum + pairs.branch) / 2 - pairs.radius_i)
         off_j = np.abs(_lengths(pairs.side_sum - pairs.branch) / 2 - pairs.radius_j)
@@ -222,7 +224,7 @@ class SphereContacts:
         few = not elsewhere.any() or elsewhere.sum() < _MOST * near.sum()
         if few and self.unit_of_points is None:
             return
-        row = np.argmax(np.where(near, off, 0.0))
+        worst = np.argmax(np.where(near, off, 0.0))
         way_out = "Map the right columns to contact_point, or"
         if self.unit_of_points is not None:
             way_out = (
@@ -232,59 +234,59 @@ class SphereContacts:
         warn_once(
             "points elsewhere",
             f"{self.source}: contact points lie off the surfaces of both spheres "
-            f"({self.named(pairs.rows[row])}: by {off[row]:.2g} of the smaller radius). {way_out} drop "
+            f"({self.named(pairs.indices[worst])}: by {off[worst]:.2g} of the smaller radius). {way_out} drop "
             "the columns of points by names={'column': None}: points then follow from radii",
         )
 
     @cached_property
     def unit_of_points(self) -> float | None:
         """1000 or 0.001 if points lie on the surfaces once they are divided by that, else None."""
-        rows = self.sample.rows
-        if "contact_point" not in self.contacts or not len(rows):
+        indices = self.sample.indices
+        if "contact_point" not in self.contacts or not len(indices):
             return None
-        i = self.row_i[rows]
+        i = self.index_i[indices]
         centre, radius = self.particles["position"][i], self.particles["diameter"][i] / 2
         for unit in (1.0, *_UNITS):
-            side = self.lattice.shortest(centre - self.contacts["contact_point"][rows] / unit)
+            side = self.lattice.shortest(centre - self.contacts["contact_point"][indices] / unit)
             if (np.abs(_lengths(side) - radius) <= _SOFT * radius).mean() >= _MOST:
                 return None if unit == 1.0 else unit
         return None
 
     def warn_of_coincident_centres(self) -> None:
         """Warn if centres of a pair coincide; a sample of large steps is checked."""
-        rows = self.sample.rows
+        indices = self.sample.indices
         position = self.particles["position"]
-        apart = position[self.row_i[rows]] - position[self.row_j[rows]]
-        same = rows[~self.lattice.shortest(apart).any(axis=1)]
+        apart = position[self.index_i[indices]] - position[self.index_j[indices]]
+        same = indices[~self.lattice.shortest(apart).any(axis=1)]
         contacts = self.contacts
         warn_of_coincident(contacts["contact_i"][same], contacts["contact_j"][same], self.source)
 
     @cached_property
-    def sampled_rows(self) -> NDArray:
-        """Rows spread over all contacts."""
-        count = len(self.row_i)
+    def sampled_indices(self) -> NDArray:
+        """Indices spread over all contacts."""
+        count = len(self.index_i)
         return np.arange(0, count, max(1, count // _SAMPLE))
 
     @cached_property
     def sample(self) -> Pairs:
         """Pairs among contacts spread over all."""
-        return self.pairs(self.sampled_rows)
+        return self.pairs(self.sampled_indices)
 
-    def pairs(self, rows: NDArray) -> Pairs:
-        """Return the pairs among some rows whose partners are both known.
+    def pairs(self, indices: NDArray) -> Pairs:
+        """Return the pairs among some contacts whose partners are both in the scene.
 
         Images are those nearest to the branches in the data, else to the contact points, else the
         shortest.
         """
-        rows = rows[(self.row_i[rows] >= 0) & (self.row_j[rows] >= 0)]
-        i, j = self.row_i[rows], self.row_j[rows]
+        indices = indices[(self.index_i[indices] >= 0) & (self.index_j[indices] >= 0)]
+        i, j = self.index_i[indices], self.index_j[indices]
         centre_i = self.particles["position"][i]
         centre_j = self.particles["position"][j]
-        seen = None if self.seen is None else self.seen[rows]
-        branch = nearest_branches(centre_i - centre_j, seen, self.lattice)
+        data_branch = None if self.data_branch is None else self.data_branch[indices]
+        branch = nearest_branches(centre_i - centre_j, data_branch, self.lattice)
         side_sum = None
         if "contact_point" in self.contacts:
-            point = self.contacts["contact_point"][rows]
+            point = self.contacts["contact_point"][indices]
             side_i = self.lattice.shortest(centre_i - point)
             side_j = self.lattice.shortest(centre_j - point)
             side_sum = side_i + side_j
@@ -292,40 +294,40 @@ class SphereContacts:
         if branch is None:
             branch = self.lattice.shortest(centre_i - centre_j)
         diameter = self.particles["diameter"]
-        return Pairs(rows, diameter[i] / 2, diameter[j] / 2, branch, side_sum)
+        return Pairs(indices, diameter[i] / 2, diameter[j] / 2, branch, side_sum)
 
-    def _walls_among(self, rows: NDArray) -> NDArray:
-        """Return the rows in which a sphere touches a wall at a known point."""
+    def _walls_among(self, indices: NDArray) -> NDArray:
+        """Return the contacts at which a sphere touches a wall at a given point."""
         if "contact_point" not in self.contacts:
-            return rows[:0]
-        return rows[(self.row_i[rows] >= 0) & (self.contacts["contact_j"][rows] < 0)]
+            return indices[:0]
+        return indices[(self.index_i[indices] >= 0) & (self.contacts["contact_j"][indices] < 0)]
 
-    def _depths(self, rows: NDArray) -> NDArray:
+    def _depths(self, indices: NDArray) -> NDArray:
         """Depths (n,) of contact points with walls below the surface of the sphere."""
-        i = self.row_i[rows]
-        point = self.contacts["contact_point"][rows]
+        i = self.index_i[indices]
+        point = self.contacts["contact_point"][indices]
         to_point = self.lattice.shortest(self.particles["position"][i] - point)
         return self.particles["diameter"][i] / 2 - np.linalg.norm(to_point, axis=1)
 
-    def _rounding(self, rows: NDArray) -> float:
+    def _rounding(self, indices: NDArray) -> float:
         """Error of distances between positions of six digits (m)."""
-        return _SIX_DIGITS * float(np.abs(self.particles["position"][self.row_i[rows]]).max())
+        return _SIX_DIGITS * float(np.abs(self.particles["position"][self.index_i[indices]]).max())
 
-    def _agree(self, rows: NDArray, expected: NDArray) -> bool:
-        """Return whether the overlaps of some rows are those expected (n,).
+    def _agree(self, indices: NDArray, expected: NDArray) -> bool:
+        """Return whether the overlaps of some contacts are as expected (n,).
 
         True if grains are too far apart for spheres in contact, so that nothing is expected.
-        Medians forgive single rows, and positions that are a time step older than the contacts.
+        Medians forgive single contacts, and positions that are a time step older than the contacts.
         """
-        rounding = self._rounding(rows)
+        rounding = self._rounding(indices)
         if (expected >= -rounding).mean() < _MOST:
             return True
-        off = abs(np.median(self.contacts["overlap"][rows] - expected))
+        off = abs(np.median(self.contacts["overlap"][indices] - expected))
         size = np.median(np.abs(expected))
-        return bool(off <= _SAME_OVERLAP * size + rounding / np.sqrt(len(rows)))
+        return bool(off <= _SAME_OVERLAP * size + rounding / np.sqrt(len(indices)))
 
-    def named(self, row: int) -> str:
+    def named(self, index: int) -> str:
         """Return the row and ids of a contact, for messages."""
-        i = self.contacts["contact_i"][row]
-        j = self.contacts["contact_j"][row]
-        return f"contact row {self.number[row]}, contact_i={i}, contact_j={j}"
+        i = self.contacts["contact_i"][index]
+        j = self.contacts["contact_j"][index]
+        return f"contact row {self.number[index]}, contact_i={i}, contact_j={j}"

@@ -123,14 +123,14 @@ def without_noise(times: NDArray) -> NDArray:
     Times are one if they differ by less than 1e-9 of the largest interval, or by the last bits of
     the largest time.
     """
-    distinct, place = np.unique(times, return_inverse=True)
+    distinct, index = np.unique(times, return_inverse=True)
     gaps = np.diff(distinct)
     if not gaps.size:
         return times
     last_bits = _LAST_BITS * np.finfo(float).eps * np.abs(distinct).max()
     is_new = np.append(True, gaps > max(_NOISE * gaps.max(), last_bits))
     lowest = distinct[is_new]
-    return lowest[np.cumsum(is_new) - 1][place].reshape(np.shape(times))
+    return lowest[np.cumsum(is_new) - 1][index].reshape(np.shape(times))
 
 
 # --- of the steps of a scene or result ---------------------------------------------------------------
@@ -207,9 +207,9 @@ def require_times(ds: xr.Dataset, purpose: str) -> None:
 def evenly_spaced(values: NDArray, what: str) -> float:
     """Return the distance of numbers that rise by equal steps; refuse others, as `what`."""
     _require_numbers(values, what)
-    steps = np.diff(values)
-    if not (steps > 0).all() or not np.allclose(steps, steps[0], rtol=1e-4, atol=0.0):
+    intervals = np.diff(values)
+    if not (intervals > 0).all() or not np.allclose(intervals, intervals[0], rtol=1e-4, atol=0.0):
         raise SceneError(
-            f"{what} at equal distances are needed, and these are {steps.min():.6g} to {steps.max():.6g} apart"
+            f"{what} at equal distances are needed, and these are {intervals.min():.6g} to {intervals.max():.6g} apart"
         )
-    return float((values[-1] - values[0]) / len(steps))
+    return float((values[-1] - values[0]) / len(intervals))

@@ -17,18 +17,18 @@ _WHOLE = 2.0**53  # from here on floats of 64 bits leave whole numbers out
 def check_rows(frame: Frame, dim: str, source: str) -> None:
     """Raise SceneError for arrays of the wrong shape or with values that are not finite; name every bad variable."""
     first = next(name for name in frame if variable(name).dims[0] == dim)
-    rows = len(frame[first])
-    if rows == 3 and frame[first].shape != (3, 3) and frame[first].ndim == 2:
+    length = len(frame[first])
+    if length == 3 and frame[first].shape != (3, 3) and frame[first].ndim == 2:
         raise SceneError(
             f"{source}: '{first}' has shape {frame[first].shape}, expected (n, 3), a row for each {dim}: give its "
             f"transpose, {first}.T"
         )
     problems = []
     for name, values in frame.items():
-        expected = variable(name, values.dtype, values.ndim).shape(rows)
+        expected = variable(name, values.dtype, values.ndim).shape(length)
         if values.shape != expected:
             hint = ""
-            if values.shape == (rows, 2) and expected == (rows, 3):
+            if values.shape == (length, 2) and expected == (length, 3):
                 hint = " (of a layer, add a column of zeros for z and give dimension=2)"
             if values.shape == expected[::-1]:
                 hint = f"; give its transpose, {name}.T"
