@@ -1,14 +1,13 @@
 """Warnings about what a call makes of a scene, from scene and plan; nothing is read.
 
-Each piece of advice is a function of what it is about, called only where a plan has that. It yields
-a key, as it warns once a call, and a text. None changes a result.
+Each piece of advice is a function of what it is about, called only where a plan has that, and warns
+once a call. None changes a result.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -26,8 +25,6 @@ from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, PADDING
 from xcg.scene.times import times_are_known
 
-Warnings: TypeAlias = Iterator[tuple[str, str]]
-
 _WIDE = 300  # largest diameters; a width beyond is in another unit, most likely
 _MANY = 1000  # nodes a particle, of a mesh that was laid around the particles
 _LONG = 50.0  # extents of the scene by which extent= is in another unit, most likely
@@ -40,8 +37,22 @@ _OF_ONE_VARIANCE = ("granular_temperature", "directional_temperature", "mixture_
 
 def advise(scene: Scene, plan: Plan) -> None:
     """Warn of empty scenes, and of nodes and kernels that are hardly meant."""
-    for about, text in _of_plan(scene, plan):
-        warn_once(about, text)
+    options = plan.options
+    if options.averaged_gradient == "unknown":
+        _warn_of_unknown_gradients(plan)
+    text = about_width(scene, min(plan.widths), plan.undercut)
+    if text:
+        warn_once("width", text)
+    has_cut = len(plan.nodes.seen) > len(plan.nodes.spacing)
+    if has_cut and scene.periods and not scene.cylindrical:
+        _warn_of_cuts(scene, plan)
+    if options.gradient == "kernel" and {"mass_slope", "momentum_slope"} & plan.moments.keys():
+        _warn_of_jumping_kernels(plan.kernel)
+    if plan.nodes.fitted and plan.nodes.count >= LARGE:
+        _warn_of_strays(scene, plan.nodes)
+    ids = scene.columns["particle_id"]
+    if not ids.size or (is_in_memory(ids) and not (ids.to_numpy() != PADDING).any()):
+        _warn_of_nothing_left(scene.ds)
 
 
 def advise_on_steps(scene: Scene, plan: Plan, *, named: bool) -> None:
@@ -55,9 +66,15 @@ def advise_on_steps(scene: Scene, plan: Plan, *, named: bool) -> None:
         plan.stretch = _stretch_of(scene)
     if _depends_on_support(plan):
         plan.support = support_of(scene, plan)
-    if plan.undercut is None:  # else `advise` has warned of the cause
-        for about, text in _of_steps(scene, plan):
-            warn_once(about, text)
+    if plan.undercut is not None:  # `advise` has warned of the cause
+        return
+    if "redundancy_number" in plan.requested and not plan.options.sliding:
+        _warn_of_unknown_sliding(scene.setup.dimension)
+    variances = [name for name in _OF_ONE_VARIANCE if name in plan.requested]
+    if variances and plan.named and plan.options.temperature == "unbiased":
+        _warn_of_mixed_masses(scene, plan, variances)
+    if any(plan.extent.values()) and not scene.cylindrical:
+        _warn_of_long_extent(scene, plan.extent)
 
 
 def _stretch_of(scene: Scene) -> NDArray | None:
@@ -96,27 +113,7 @@ def _depends_on_support(plan: Plan) -> bool:
 # --- of all plans ----------------------------------------------------------------------------------
 
 
-def _of_plan(scene: Scene, plan: Plan) -> Warnings:
-    """Yield the advice on any plan."""
-    options = plan.options
-    if options.averaged_gradient == "unknown":
-        yield from _unknown_gradients(plan)
-    text = about_width(scene, min(plan.widths), plan.undercut)
-    if text:
-        yield "width", text
-    has_cut = len(plan.nodes.seen) > len(plan.nodes.spacing)
-    if has_cut and scene.periods and not scene.cylindrical:
-        yield from _cuts(scene, plan)
-    if options.gradient == "kernel" and {"mass_slope", "momentum_slope"} & plan.moments.keys():
-        yield from _jumping_kernels(plan.kernel)
-    if plan.nodes.fitted and plan.nodes.count >= LARGE:
-        yield from _strays(scene, plan.nodes)
-    ids = scene.columns["particle_id"]
-    if not ids.size or (is_in_memory(ids) and not (ids.to_numpy() != PADDING).any()):
-        yield from _nothing_left(scene.ds)
-
-
-def _unknown_gradients(plan: Plan) -> Warnings:
+def _warn_of_unknown_gradients(plan: Plan) -> None:
     """Warn of fields of a velocity gradient that no axis shows."""
     lost = [name for name in plan.requested if takes_gradient(name, plan.options)]
     if lost:
@@ -124,7 +121,7 @@ def _unknown_gradients(plan: Plan) -> Warnings:
             f"{', '.join(lost)}: NaN, as no axis is resolved or fixed, and so the velocity has no neighbours to differ "
             "from: resolve the axis that it varies along, axes='z' for example, and average the result"
         )
-        yield "unknown gradients", text
+        warn_once("unknown gradients", text)
 
 
 def about_width(scene: Scene, width: float, undercut: str | None) -> str:
@@ -153,7 +150,7 @@ def about_width(scene: Scene, width: float, undercut: str | None) -> str:
     )
 
 
-def _cuts(scene: Scene, plan: Plan) -> Warnings:
+def _warn_of_cuts(scene: Scene, plan: Plan) -> None:
     """Warn of fixed coordinates that lie outside a periodic box."""
     nodes = plan.nodes
     for k, a in enumerate(COMPONENTS):
@@ -171,26 +168,26 @@ def _cuts(scene: Scene, plan: Plan) -> Warnings:
                 f"at={{{a!r}: {beyond[0]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
                 f"{a!r}: fields are those of the image inside; check the units of lengths"
             )
-            yield f"cut along {a}", text
+            warn_once(f"cut along {a}", text)
 
 
-def _jumping_kernels(kernel: Kernel) -> Warnings:
+def _warn_of_jumping_kernels(kernel: Kernel) -> None:
     """Warn of gradients of a kernel that jumps, or whose slope does."""
     if kernel.smoothness == 0:
         text = (
             f"the {kernel.name} kernel is continuous, but its slope jumps at its cutoff: its gradient is exact almost "
             "everywhere, and the fields made of it jump where a grain comes into reach; take Lucy for smooth ones"
         )
-        yield "kernel of gradients", text
+        warn_once("kernel of gradients", text)
     elif not kernel.differentiable:
         text = (
             f"the {kernel.name} kernel jumps at its cutoff: its gradient leaves the jump out (8 % low for a Gaussian "
             "cut at 3 w); take Lucy, or gradient='least_squares'"
         )
-        yield "kernel of gradients", text
+        warn_once("kernel of gradients", text)
 
 
-def _strays(scene: Scene, nodes: Nodes) -> Warnings:
+def _warn_of_strays(scene: Scene, nodes: Nodes) -> None:
     """Warn of a mesh with many nodes for each particle, as of particles that are far from the others."""
     particles = max(1, scene.ds.sizes["particle"])
     if nodes.count > _MANY * particles:
@@ -198,14 +195,14 @@ def _strays(scene: Scene, nodes: Nodes) -> Warnings:
             f"the automatic mesh has {' x '.join(map(str, nodes.sizes))} nodes, {nodes.count / particles:.3g} for each "
             f"particle: {about_strays(scene)}"
         )
-        yield "strays", text
+        warn_once("strays", text)
 
 
-def _nothing_left(ds: xr.Dataset) -> Warnings:
+def _warn_of_nothing_left(ds: xr.Dataset) -> None:
     """Warn of a selection that left no step or no particle, with the range of positions before."""
     if ds.sizes["particle"] and not ds.sizes["time"]:
         nothing = "no step is left, as of a selection of times that holds for none"
-        yield "nothing left", f"{nothing}; fields are those of no grain"
+        warn_once("nothing left", f"{nothing}; fields are those of no grain")
         return
     # a scene that never had particles has no range
     if {"particle_lower", "particle_upper"} <= ds.attrs.keys():
@@ -215,29 +212,23 @@ def _nothing_left(ds: xr.Dataset) -> Warnings:
             "no particle is left, as of a selection whose condition holds for none: before, positions "
             f"were {ranges}; fields are those of no grain"
         )
-        yield "nothing left", text
+        warn_once("nothing left", text)
 
 
 # --- of fields of single steps ---------------------------------------------------------------------
 
 
-def _of_steps(scene: Scene, plan: Plan) -> Warnings:
-    """Yield the advice on fields of single steps."""
-    if "redundancy_number" in plan.requested and not plan.options.sliding:
-        text = (
-            "redundancy_number without friction= counts sliding contacts as sticking: where all slide it is "
-            f"{scene.setup.dimension} times too large. Pass friction=, the coefficient between the grains (0 without, "
-            "a large one where none slides)"
-        )
-        yield "redundancy without friction", text
-    variances = [name for name in _OF_ONE_VARIANCE if name in plan.requested]
-    if variances and plan.named and plan.options.temperature == "unbiased":
-        yield from _mixed_masses(scene, plan, variances)
-    if any(plan.extent.values()) and not scene.cylindrical:
-        yield from _long_extent(scene, plan.extent)
+def _warn_of_unknown_sliding(dimension: int) -> None:
+    """Warn of a redundancy that counts sliding contacts as sticking."""
+    warn_once(
+        "redundancy without friction",
+        "redundancy_number without friction= counts sliding contacts as sticking: where all slide it is "
+        f"{dimension} times too large. Pass friction=, the coefficient between the grains (0 without, "
+        "a large one where none slides)",
+    )
 
 
-def _mixed_masses(scene: Scene, plan: Plan, fields: Sequence[str]) -> Warnings:
+def _warn_of_mixed_masses(scene: Scene, plan: Plan, fields: Sequence[str]) -> None:
     """Warn of a temperature that was asked for of grains of different masses together.
 
     Where the temperature is one of all fields, nobody asked for it: packings of many sizes, most of
@@ -258,10 +249,10 @@ def _mixed_masses(scene: Scene, plan: Plan, fields: Sequence[str]) -> Warnings:
         "velocities: where light grains are faster, as in equilibrium, it is too large. Pass by= of species or of "
         "ds.cg.find_phases(...): each phase then has its temperature, and the bulk their mean by mass"
     )
-    yield "mixed masses", text
+    warn_once("mixed masses", text)
 
 
-def _long_extent(scene: Scene, extent: Mapping[str, float | None]) -> Warnings:
+def _warn_of_long_extent(scene: Scene, extent: Mapping[str, float | None]) -> None:
     """Warn of a length of an average that is many times that of the scene."""
     for axis, length in extent.items():
         known = length_along(scene, axis, scene.sizes.get("d43", np.nan))
@@ -271,4 +262,4 @@ def _long_extent(scene: Scene, extent: Mapping[str, float | None]) -> Warnings:
                 f"{axis!r} ({known:.4g} m), so that sums over it are as many times too small: lengths are in m. Leave "
                 f"it out where the box has edges along {axis!r}, or give extent={{{axis!r}: {known:.4g}}}"
             )
-            yield "long extent", text
+            warn_once("long extent", text)

@@ -120,24 +120,22 @@ def _named(
             f"fields={fields!r}: expected at least one; leave it out for all that the scene allows"
         )
     names = requested.copy()
+    of_registry: list[Field | None] = []
+    for name in requested:
+        # an underscore begins the names of steps of the algebra
+        is_field = isinstance(name, str) and not name.startswith("_")
+        of_registry.append(registry.FIELDS.get(name) if is_field else None)
     own: dict[int, OwnField | registry.OwnRow] = {}
-    if not all(map(_is_field, requested)):
+    if None in of_registry:
         own = own_fields(requested, scene)
-    for k, name in enumerate(requested):
+    for k, (name, field) in enumerate(zip(requested, of_registry, strict=True)):
         if k in own:
             names[k] = own[k].name
-            continue
-        if not _is_field(name):
+        elif field is None:
             raise ValueError(_unknown_field(name, scene))
-        row = registry.FIELDS[name]
-        if row.option and getattr(options, row.option) is None:
-            raise ValueError(_lacks_option(name, row))
+        elif field.option and getattr(options, field.option) is None:
+            raise ValueError(_lacks_option(name, field))
     return tuple(dict.fromkeys(names)), tuple(dict.fromkeys(own.values()))
-
-
-def _is_field(name: Any) -> bool:
-    """Return whether this is the name of a field, and not of a step of the algebra."""
-    return isinstance(name, str) and name in registry.FIELDS and not name.startswith("_")
 
 
 def _lacks_option(name: str, row: Field) -> str:

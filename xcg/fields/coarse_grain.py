@@ -80,15 +80,46 @@ def coarse_grain(scene: Scene, request: Request) -> xr.Dataset:
     >>> f.volume_fraction.dims
     ('time', 'z')
     """
-    return _compute(scene, request, of_steps=True)
+    return answer(scene, request, of_steps=True)
 
 
-def answer(scene: Scene, request: Request, plan: Plan | None = None) -> xr.Dataset:
-    """Coarse-grain a scene for functions built on it, without advice on fields of single steps.
+def answer(
+    scene: Scene, request: Request, plan: Plan | None = None, *, of_steps: bool = False
+) -> xr.Dataset:
+    """Coarse-grain a scene for functions built on it.
 
-    `plan` is that of the request, see `planned`, where there is one.
+    Parameters
+    ----------
+    plan : Plan, optional
+        That of the request, see `planned`, where there is one.
+    of_steps : bool
+        Whether the fields are those of single steps for the user, with advice on these.
     """
-    return _compute(scene, request, plan, of_steps=False)
+    named = request.fields is not None
+    walls = []
+    if request.surfaces is not None or request.per is not None:
+        walls = walls_of(request)
+    like = request.like
+    if like is not None:
+        request = request_like(request)
+    call = request.call("coarse_grain")
+    scene, request = prepare(scene, request)
+    preset = request.preset
+    if preset is not None:
+        request, rename = PRESETS[preset](scene, request)
+    if plan is None:
+        plan = planned(scene, request)
+    advise(scene, plan)
+    if of_steps:
+        advise_on_steps(scene, plan, named=named)
+    result = run(scene, CoarseGraining(plan), call=call, on_error=request.on_error)
+    if walls:
+        result = with_accessible(result, scene, plan, request, walls)
+    if like is not None:
+        result = with_nodes_of(result, like)
+    if preset is not None:
+        result = rename(result)
+    return result
 
 
 def planned(scene: Scene, request: Request) -> Plan:
@@ -123,40 +154,6 @@ def _too_large(scene: Scene, request: Request, error: MeshTooLargeError) -> str:
     width = min(kernel.width for kernel in kernels_of(scene, request))
     cause = about_width(scene, width, undercut_size(scene, request, width))
     return "; ".join(filter(None, [str(error), cause, way_out]))
-
-
-def _compute(
-    scene: Scene, request: Request, plan: Plan | None = None, *, of_steps: bool
-) -> xr.Dataset:
-    named = request.fields is not None
-    walls = []
-    if request.surfaces is not None or request.per is not None:
-        walls = walls_of(request)
-    like = request.like
-    if like is not None:
-        request = request_like(request)
-    call = request.call("coarse_grain")
-    scene, request, rename = _in_names_of_xcg(*prepare(scene, request))
-    if plan is None:
-        plan = planned(scene, request)
-    advise(scene, plan)
-    if of_steps:
-        advise_on_steps(scene, plan, named=named)
-    result = run(scene, CoarseGraining(plan), call=call, on_error=request.on_error)
-    if walls:
-        result = with_accessible(result, scene, plan, request, walls)
-    if like is not None:
-        result = with_nodes_of(result, like)
-    return rename(result)
-
-
-def _in_names_of_xcg(
-    scene: Scene, request: Request
-) -> tuple[Scene, Request, Callable[[xr.Dataset], xr.Dataset]]:
-    """Return scene and request in names of xcg, and the function that renames the result for the preset."""
-    if request.preset is None:
-        return scene, request, lambda result: result
-    return scene, *PRESETS[request.preset](scene, request)
 
 
 @takes(Request)
@@ -194,7 +191,9 @@ def explain(scene: Scene, request: Request) -> Plan:
     walls = walls_of(request)
     if request.like is not None:
         request = request_like(request)
-    scene, request, _ = _in_names_of_xcg(*prepare(scene, request))
+    scene, request = prepare(scene, request)
+    if request.preset is not None:
+        request, _ = PRESETS[request.preset](scene, request)
     plan = make_plan(scene, request)
     advise(scene, plan)
     cost = None

@@ -69,34 +69,32 @@ class ComputedStep:
 
     def warn(self) -> None:
         """Warn of fields that are unknown, impossible, or far from those of averages; once for each cause."""
-        if self.plan.undercut is None:  # else the call has warned of the cause
-            with _TURN:
-                self._warn()
-
-    def _warn(self) -> None:
         plan = self.plan
+        if plan.undercut is not None:  # the call has warned of the cause
+            return
         call = active_call()
         effects: dict[str, str] = {}
-        temperatures = [name for name in _TEMPERATURES if name in self.fields]
-        if temperatures and plan.options.temperature != "biased":
-            effects |= self._unknown_temperatures(temperatures)
-        if plan.named and plan.options.temperature == "mixture" and "density" in self.fields:
-            effects |= self._unknown_in_phases()
-        # extent=1 m asks for an integral in place of an average: no warning
-        if "volume_fraction" in self.fields and 1.0 not in plan.extent.values():
-            effects |= self._fraction()
-        if plan.stretch is not None and call.is_new("stretch"):
-            self._warn_of_moving_edges(plan.stretch)
-        if plan.support is not None and call.is_new("pressures"):
-            effects |= self._lost_stress()
-            effects |= self._lost_flux()
-            self._warn_of_flow_in_temperatures()
-            self._warn_of_lost_variances()
-        if plan.support is not None and (plan.named or effects):
-            effects |= self._floors()
-        texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
-        if texts:
-            self._warn_of_few_grains(texts)
+        with _TURN:
+            temperatures = [name for name in _TEMPERATURES if name in self.fields]
+            if temperatures and plan.options.temperature != "biased":
+                effects |= self._unknown_temperatures(temperatures)
+            if plan.named and plan.options.temperature == "mixture" and "density" in self.fields:
+                effects |= self._unknown_in_phases()
+            # extent=1 m asks for an integral in place of an average: no warning
+            if "volume_fraction" in self.fields and 1.0 not in plan.extent.values():
+                effects |= self._fraction()
+            if plan.stretch is not None and call.is_new("stretch"):
+                self._warn_of_moving_edges(plan.stretch)
+            if plan.support is not None and call.is_new("pressures"):
+                effects |= self._lost_stress()
+                effects |= self._lost_flux()
+                self._warn_of_flow_in_temperatures()
+                self._warn_of_lost_variances()
+            if plan.support is not None and (plan.named or effects):
+                effects |= self._floors()
+            texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
+            if texts:
+                self._warn_of_few_grains(texts)
 
     def _warn_of_few_grains(self, effects: Sequence[str]) -> None:
         """Warn of what few grains at a node do to fields."""

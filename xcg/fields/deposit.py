@@ -312,14 +312,15 @@ def _add_points(
     position = images.position
     count = len(position)
     level = run.level
-    columns = np.zeros((count, run.columns - level))
+    written = np.zeros((count, run.columns - level))
     first = 0
     for values in constants:
-        columns[:, first : first + values.shape[1]] = values
+        written[:, first : first + values.shape[1]] = values
         first += values.shape[1]
         del values  # before the next are made
     velocity, mass = flow or (np.zeros((count, 3)), np.zeros(count))
-    has_squares = run.has_squares
+    of_squares = [column for column in loops.SQUARES if column < level]
+    has_squares = any(np.isin(columns, of_squares).any() for columns, _ in run.moments.values())
     if not count and not has_squares:
         return
     origin = step.origin
@@ -330,7 +331,7 @@ def _add_points(
             rows = rows[of_cutoff[phase[rows]]]
         batches = (batches_of(position, rows) - origin) / cutoff
         points = loops.Grains(
-            rows, batches, position, velocity, mass, columns, phase, origin, cutoff
+            rows, batches, position, velocity, mass, written, phase, origin, cutoff
         )
         translations = None
         if has_squares:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
-from xcg.compiled.points import NONE, SQUARES, Grains
+from xcg.compiled.points import NONE, Grains
 from xcg.compiled.reach import spatial_order
 from xcg.fields.plan import Plan
 from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
@@ -93,12 +93,6 @@ class Pass:
     vector: bool = True
     fills: list[Fill] = field(default_factory=list)
     squared: list[Squared] = field(default_factory=list)
-
-    @property
-    def has_squares(self) -> bool:
-        """Return whether squared weights are summed."""
-        of_squares = [column for column in SQUARES if column < self.level]
-        return any(np.isin(columns, of_squares).any() for columns, _ in self.moments.values())
 
 
 _HIDDEN_SHEAR = (
@@ -192,9 +186,8 @@ class StepArrays:
             smoothing.check_reach(DIAMETER, source, paired=paired)
             self.smoothings[cutoff] = smoothing
         self.of_grains = self.frame
-        gradient = lattice.gradient_along(~nodes.active)
-        if gradient is not None:
-            self._take_off_shear(gradient, lattice)
+        if lattice.rates is not None:
+            self._take_off_shear(lattice)
         self.grains = self.images(self.position)
         velocity = self.velocity[self.grains.row]
         if self.grains.drift is not None:
@@ -208,12 +201,15 @@ class StepArrays:
         if moving and "frozen" in frame:
             self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, self.source)
 
-    def _take_off_shear(self, gradient: NDArray, lattice: Lattice) -> None:
-        """Make velocities relative to the motion that a sheared box imposes along averaged axes, its `gradient`.
+    def _take_off_shear(self, lattice: Lattice) -> None:
+        """Make velocities relative to the motion that a sheared box imposes along averaged axes.
 
         They are those in the middle of the box, for every image of a grain, as images along these
         axes are one.
         """
+        gradient = lattice.gradient_along(~self.plan.nodes.active)
+        if gradient is None:
+            return
         moments = self.plan.moments.items()
         of_velocity = {n for n, moment in moments if "velocity" in moment.variables}
         of_contacts = [n for n, moment in moments if moment.contacts]

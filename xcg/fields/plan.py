@@ -107,8 +107,8 @@ class Plan:
     `other_count`, groups of partners, the last one for walls; `kernel`, the widest; `weights`, the
     first kernel as loops take it; `cutoffs` and `widths` of the kernels (m), and `cutoff_of_group`;
     `outputs`, the fields as variables of the result, and `shapes`, of one step of each; `reached`,
-    the number of nodes in the box around the support of a grain; `block_nodes`, of those computed
-    at a time; `attrs`, attributes of the result.
+    the number of nodes in the box around the support of a grain; `sum_count`, of sums at a node;
+    `block_nodes`, of nodes computed at a time; `attrs`, attributes of the result.
     """
 
     fields: tuple[str, ...]
@@ -157,6 +157,11 @@ class Plan:
             self.outputs[name] = Variable(dims, row.units, row.long_name)
             self.shapes[name] = tuple(lengths[dim] for dim in dims)
         self.reached = self.nodes.nodes_within(2.0 * max(self.cutoffs))
+        self.sum_count = self.group_count * sum(moment.width for moment in self.moments.values())
+        self.block_nodes = BLOCK_NODES
+        if self.reached > FINE:
+            in_cache = CACHED // (8 * max(1, self.sum_count))
+            self.block_nodes = min(BLOCK_NODES, max(FEWEST_NODES, in_cache))
 
     @cached_property
     def rows(self) -> dict[str, Field]:
@@ -166,19 +171,6 @@ class Plan:
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the rows: other processes look them up, as formulas travel by their names."""
         return {name: value for name, value in vars(self).items() if name != "rows"}
-
-    @cached_property
-    def block_nodes(self) -> int:
-        """Number of nodes that are computed at a time."""
-        if self.reached <= FINE:
-            return BLOCK_NODES
-        in_cache = CACHED // (8 * max(1, self._numbers))
-        return min(BLOCK_NODES, max(FEWEST_NODES, in_cache))
-
-    @property
-    def _numbers(self) -> int:
-        """Number of sums at a node."""
-        return self.group_count * sum(moment.width for moment in self.moments.values())
 
     @property
     def about_means(self) -> list[OwnField]:
@@ -241,7 +233,7 @@ class Plan:
             if over not in _PASS_EACH:
                 passes = 1
             loops.append(f"{passes} over {_OVER[over]}")
-        sums = min(nodes.count, self.block_nodes) * self._numbers
+        sums = min(nodes.count, self.block_nodes) * self.sum_count
         outputs = sum(map(math.prod, self.shapes.values()))
         lines = {
             "fields": ", ".join(self.requested),

@@ -182,7 +182,7 @@ def test_loops_are_compiled_for_few_numbers_of_arrays():
         arrays = [np.full(3, k, float) for k in range(count)]
         tuples = program._padded(arrays)
         assert len(tuples) == padded
-        assert all(one is other for one, other in zip(arrays, tuples, strict=False))
+        assert all(map(np.shares_memory, arrays, tuples))
 
 
 def test_rows_list_exactly_the_inputs_of_their_formulas():

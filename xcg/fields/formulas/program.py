@@ -89,10 +89,10 @@ class Program:
             place = place[order]
         loops.run(
             self.instructions,
-            _padded([_flat(array) for array in arrays]),
+            _padded(arrays),
             columns_of_arrays.astype("uint64"),
             np.array(inputs, "uint64").reshape(-1, 2),
-            _padded([_flat(out[name]) for name in self.widths]),
+            _padded([out[name] for name in self.widths]),
             self.stores,
             self.target,
             place,
@@ -102,18 +102,19 @@ class Program:
         )
 
 
-def _flat(numbers: NDArray) -> NDArray:
-    """Return an array as one row of numbers; a view, as what the loop writes to a copy would be lost."""
-    if not numbers.flags.c_contiguous:
-        raise ValueError(
-            f"expected numbers one after the other, not with strides {numbers.strides}"
-        )
-    return numbers.reshape(-1)
-
-
 def _padded(arrays: Sequence[NDArray]) -> tuple[NDArray, ...]:
-    """Fill up a tuple of arrays to one of few lengths, for each of which the loop is compiled."""
+    """Return arrays as rows of numbers, filled up to one of few lengths, for each of which the loop is compiled.
+
+    The rows are views, as what the loop writes to a copy would be lost.
+    """
+    rows = []
+    for array in arrays:
+        if not array.flags.c_contiguous:
+            raise ValueError(
+                f"expected numbers one after the other, not with strides {array.strides}"
+            )
+        rows.append(array.reshape(-1))
     length = PADDED
-    while length < len(arrays):
+    while length < len(rows):
         length *= 4
-    return (*arrays, *(np.empty(0) for _ in range(length - len(arrays))))
+    return (*rows, *(np.empty(0) for _ in range(length - len(rows))))

@@ -29,6 +29,7 @@ from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
 
 _USUAL = "; the usual choice is 0.75 mean diameters"
+_DIMENSION = whole(1, 3)
 _LENGTH = Kind(
     lambda value: is_finite(value) and SHORTEST <= value <= LONGEST,
     "a positive",
@@ -73,7 +74,7 @@ class Kernel:
     ) -> None:
         check("width", width, _LENGTH, "m", optional=True, hint=_USUAL)
         check("cutoff", cutoff, _LENGTH, "m", optional=True, hint=_USUAL)
-        check("dimension", dimension, whole(1, 3), optional=True)
+        check("dimension", dimension, _DIMENSION, optional=True)
         if width is None:
             if cutoff is None:
                 raise ValueError(f"{type(self).__name__} needs width= or cutoff= (in metres)")
@@ -112,8 +113,7 @@ class Kernel:
         return self.smoothness >= 1
 
     def _unit_norm(self, dimension: int) -> float:
-        if self._norms:
-            return self._norms[dimension - 1]
+        """Return 1 / integral of a profile over the unit ball, of kernels without `_norms`."""
         return 1 / profile_integral(self.profile, dimension)
 
     def weights(self, seen: int | None = None) -> KernelCode:
@@ -135,8 +135,8 @@ class Kernel:
         table = PLAIN  # of kernels with formulas
         if self.profile is not None:
             table = table_of(self.profile, codimension)
-        norm = self._unit_norm(dimension) / self.cutoff**seen
-        return KernelCode(kind, table, norm)
+        norm = self._norms[dimension - 1] if self._norms else self._unit_norm(dimension)
+        return KernelCode(kind, table, norm / self.cutoff**seen)
 
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)
