@@ -234,12 +234,8 @@ def requested_options(scene: Scene, request: Request) -> Options:
     """Return the options of the algebra; raise ValueError if one is wrong."""
     setup = scene.setup
     size = request.size
-    indices: dict[str, tuple[int, ...]] = {}
     for name in ("pressure_dims", "shear_dims"):
-        axes = getattr(request, name)
-        if axes is not None:
-            check_axes(setup.plane, **{name: axes})
-            indices[name] = tuple(map(COMPONENTS.index, axes))
+        check_axes(setup.plane, **{name: getattr(request, name) or ""})
     if size in ("d50", "dmax") and size not in scene.sizes:
         raise ValueError(
             f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
@@ -260,8 +256,8 @@ def requested_options(scene: Scene, request: Request) -> Options:
     return Options(
         plane=tuple(COMPONENTS.index(a) for a in setup.plane),
         gradient=request.gradient,
-        pressure_axes=indices.get("pressure_dims"),
-        shear_axes=indices.get("shear_dims"),
+        pressure_dims=request.pressure_dims,
+        shear_dims=request.shear_dims,
         deviatoric=request.deviatoric,
         size=size,
         diameter=scene.sizes.get(size),

@@ -241,18 +241,26 @@ def _leave_out_directions(plan: Plan, fields: Mapping[str, NDArray]) -> None:
             values[along] = of_axis
 
 
-def about(row: Field, system: str) -> dict[str, str]:
-    """Attributes of a field in a result."""
+def about(field: Field, system: str) -> dict[str, str]:
+    """Return the attributes of a field in a result."""
+    averages = field.averages
+    if not (averages or field.additive):  # the mean of its values is something else
+        rule = "computed anew from averaged sums"
+        if field.weight:
+            rule = f"weighted by {field.weight}"
+        averages = (
+            f"{rule} (f.cg.time_average(), f.cg.profile()); f.mean() is the mean of single values"
+        )
     attrs = {
-        "units": row.units,
-        "long_name": row.long_name,
-        "formula": row.formula,
-        "source": row.source,
-        "references": row.references,
-        "averages": row.text_of_averages,
+        "units": field.units,
+        "long_name": field.long_name,
+        "formula": field.formula,
+        "source": field.source,
+        "references": field.references,
+        "averages": averages,
     }
-    if row.source:  # a variable of the scene: it has any unit, and averages need its weight
-        attrs["weight"] = row.weight
+    if field.source:  # a variable of the scene: it has any unit, and averages need its weight
+        attrs["weight"] = field.weight
     else:
-        attrs["units"] = units_in(row.units, system)
+        attrs["units"] = units_in(field.units, system)
     return {key: text for key, text in attrs.items() if text}

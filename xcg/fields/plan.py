@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -198,13 +198,13 @@ class Plan:
             "kernel_dimension": self.kernel.dimension,
             "rtol": self.rtol,
             "gradient": options.gradient,
-            "pressure_dims": _letters(options.pressure_axes or options.plane),
+            "pressure_dims": options.pressure_dims or self.setup.plane,
             "deviatoric": options.deviatoric,
             "size": options.size,
             "temperature": options.temperature,
             "averaged_axes": self.nodes.averaged,
             "wrapped_axes": "".join(a for a, is_wrapped in wraps if is_wrapped),
-            "shear_dims": _letters(options.shear_axes or ()) or None,
+            "shear_dims": options.shear_dims,
             "fluid_viscosity": options.fluid_viscosity,
             "friction": options.friction,
             "size_diameter": options.diameter,
@@ -275,11 +275,6 @@ class Plan:
         if self.coarse:
             rules += ", weights in single precision"
         return f"{rules} (rtol = {self.rtol:g})"
-
-
-def _letters(axes: Sequence[int]) -> str:
-    """Return axes by their letters."""
-    return "".join(COMPONENTS[k] for k in axes)
 
 
 def make_plan(scene: Scene, request: Request) -> Plan:

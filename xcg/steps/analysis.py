@@ -18,7 +18,7 @@ from xcg.scene.scene import Scene
 from xcg.scene.schema import OF_STEP, PADDING, Frame, Setup, Variable
 from xcg.steps.faults import OnError
 from xcg.steps.labels import AXES, call_of, label
-from xcg.steps.mapping import map_over_time, threads_a_chunk
+from xcg.steps.mapping import map_over_time
 
 # a frame, its periodic images, and its name in messages
 Step: TypeAlias = tuple[Frame, Lattice, str]
@@ -202,8 +202,12 @@ def run(
     lengths = _lengths(analysis, scene, coords)
     shapes = {name: tuple(lengths[dim] for dim in row.dims) for name, row in rows.items()}
     read = _variables_of_task(ds, [*required, *(n for n in analysis.optional if n in ds)])
+    chunks = max(len(ds.variables[n].chunksizes.get("time", ())) for n in read)
+    threads = 1  # of several chunks at once
+    if chunks <= 1:
+        threads = THREADS
     arguments = (
-        replace(analysis, threads=threads_a_chunk(ds, read, THREADS)),
+        replace(analysis, threads=threads),
         name,
         rows,
         shapes,
@@ -215,7 +219,9 @@ def run(
     beside: list[str] = []
     if analysis.lags:
         series, beside = _with_others(ds, read, analysis.lags)
-    results = {n: (_known(shape), rows[n].dtype) for n, shape in shapes.items()}
+    results = {
+        n: (tuple(lengths[dim] or 0 for dim in row.dims), row.dtype) for n, row in rows.items()
+    }
     arrays: dict[str, Any] = {}
     if rows:
         tasks = name.replace("_", "-")
@@ -365,7 +371,7 @@ class _RaggedTask(_Task):
         for t, results in enumerate(of_steps):
             places = self._places(arrays, t)
             for name, row in self.rows.items():
-                shape = _known(shapes[name])
+                shape = tuple(length or 0 for length in shapes[name])
                 values = self.values_of(name, results)
                 place: Any = ...
                 fits = values.shape == shape
@@ -408,8 +414,3 @@ class _RaggedTask(_Task):
         if "contact_i" in arrays:
             places["contact"] = arrays["contact_i"][t] != PADDING
         return places
-
-
-def _known(shape: tuple[int | None, ...]) -> tuple[int, ...]:
-    """Return a shape with 0 for a length that only the steps have."""
-    return tuple(length or 0 for length in shape)

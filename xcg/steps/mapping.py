@@ -112,13 +112,6 @@ def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
     return any(ds.variables[name].chunks is not None for name in names)
 
 
-def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
-    """Return the number of threads of a chunk of time: all for a single chunk, else one."""
-    if any(len(ds.variables[name].chunksizes.get("time", ())) > 1 for name in names):
-        return 1
-    return threads
-
-
 def chunks_of_time(ds: xr.Dataset) -> list[slice]:
     """List the steps of each chunk of time, which cuts no chunk of any variable; single steps where none is lazy.
 

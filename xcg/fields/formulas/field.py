@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 
 from xcg.common.messages import did_you_mean
 from xcg.fields.formulas.algebra import mean_of
-from xcg.scene.schema import Powers, powers_of
+from xcg.scene.schema import COMPONENTS, Powers, powers_of
 
 # choices of the algebra, the default first
 Gradient: TypeAlias = Literal["least_squares", "kernel", "finite_difference", "paper"]
@@ -40,10 +40,12 @@ class Options:
         The axes along which the last node is a neighbour of the first.
     gradient : str
         "least_squares", "kernel", "finite_difference" or "paper".
-    pressure_axes : tuple of int, optional
-        The normal stresses whose mean is the pressure; by default all axes of the scene.
-    shear_axes : tuple of int, optional
+    pressure_dims : str, optional
+        Axes of the normal stresses whose mean is the pressure; by default all axes of the scene.
+        Formulas take `pressure_axes`, their indices.
+    shear_dims : str, optional
         The axes that magnitudes of stress and shear rate are restricted to; the scene's by default.
+        Formulas take `shear_axes`.
     deviatoric : str
         Magnitudes computed from deviators: of "both", "stress" or "rate".
     size : str
@@ -76,8 +78,8 @@ class Options:
     spacing: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wrapped: tuple[bool, bool, bool] = (False, False, False)
     gradient: str = "least_squares"
-    pressure_axes: tuple[int, ...] | None = None
-    shear_axes: tuple[int, ...] | None = None
+    pressure_dims: str | None = None
+    shear_dims: str | None = None
     deviatoric: str = "both"
     size: str = "d43"
     diameter: float | None = None
@@ -95,6 +97,16 @@ class Options:
         return {one.name: one.row for one in self.own}
 
     @property
+    def pressure_axes(self) -> tuple[int, ...] | None:
+        """Return the indices of `pressure_dims`."""
+        return _indices(self.pressure_dims)
+
+    @property
+    def shear_axes(self) -> tuple[int, ...] | None:
+        """Return the indices of `shear_dims`."""
+        return _indices(self.shear_dims)
+
+    @property
     def sliding(self) -> bool:
         """Return whether it is known which contacts slide."""
         return self.friction is not None
@@ -103,6 +115,11 @@ class Options:
     def dimension(self) -> int:
         """Number of dimensions D of the scene."""
         return len(self.plane)
+
+
+def _indices(dims: str | None) -> tuple[int, ...] | None:
+    """Return axes by their indices; None for None."""
+    return None if dims is None else tuple(map(COMPONENTS.index, dims))
 
 
 @dataclass(frozen=True)
@@ -240,18 +257,6 @@ class Field:
     def floor_text(self, floor: float) -> str:
         """Return a floor with its unit."""
         return f"{floor:.2g} {self.floor_units}".rstrip()
-
-    @property
-    def text_of_averages(self) -> str:
-        """Return how it is averaged, where the mean of its values is something else; "" for sums."""
-        if self.averages or self.additive:
-            return self.averages
-        rule = "computed anew from averaged sums"
-        if self.weight:
-            rule = f"weighted by {self.weight}"
-        return (
-            f"{rule} (f.cg.time_average(), f.cg.profile()); f.mean() is the mean of single values"
-        )
 
     @property
     def powers(self) -> Powers:

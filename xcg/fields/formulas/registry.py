@@ -191,16 +191,18 @@ def saved_options(attrs: Mapping[Any, Any]) -> dict[str, Any]:
 def options_of(attrs: Mapping[Any, Any]) -> Options:
     """Return the choices of the algebra that a result was computed with, from its attributes."""
     saved = saved_options(attrs)
-    names = ("gradient", "deviatoric", "size", "fluid_viscosity", "lag")
+    names = (
+        "gradient",
+        "pressure_dims",
+        "shear_dims",
+        "deviatoric",
+        "size",
+        "fluid_viscosity",
+        "lag",
+    )
     options: dict[str, Any] = {name: saved[name] for name in names if name in saved}
-    axes = {
-        "plane": attrs.get("plane"),
-        "pressure_axes": saved.get("pressure_dims"),
-        "shear_axes": saved.get("shear_dims"),
-    }
-    for name, dims in axes.items():
-        if dims is not None:
-            options[name] = tuple(map(COMPONENTS.index, str(dims)))
+    if "plane" in attrs:
+        options["plane"] = tuple(map(COMPONENTS.index, str(attrs["plane"])))
     options["temperature"] = saved.get("temperature", "biased")  # of files without it
     return Options(**options, diameter=saved.get("size_diameter"))
 
