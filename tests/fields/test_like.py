@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from xcg.scene.facts import SAVED_OPTIONS, saved_options
 
 FIELDS = ["velocity", "contact_stress"]
 
@@ -82,6 +83,32 @@ def test_averages_over_cells_of_earlier_versions_are_no_pattern():
     xr.testing.assert_equal(again, f)
     with pytest.raises(ValueError, match=r"averages over cells.*give width=, spacing= and bounds="):
         ds.cg.coarse_grain("density", like=f.assign_attrs(sampling="cell"))
+
+
+def test_options_of_results_are_those_of_the_table():
+    ds = xcg.datasets.random_scene(40, seed=3)
+    options = {
+        "shear_dims": "zx",
+        "pressure_dims": "z",
+        "fluid_viscosity": 2.0,
+        "friction": 0.5,
+        "extent": {"x": 2.5, "y": 3.0},
+        "size": "dmax",
+        "rtol": 1e-3,
+        "gradient": "paper",
+        "temperature": "biased",
+        "deviatoric": "rate",
+        "kernel": "heaviside",
+    }
+    usual = ds.cg.explain("density", axes="z").attrs
+    chosen = ds.cg.explain("density", axes="z", **options).attrs
+    always = {name for name, option in SAVED_OPTIONS.items() if option.always}
+    assert always <= usual.keys() <= chosen.keys() <= SAVED_OPTIONS.keys()
+    saved = saved_options(chosen)
+    assert {name: saved[name] for name in options} == options
+    f = ds.cg.coarse_grain("density", axes="z", **options)
+    again = ds.cg.coarse_grain("density", like=f)
+    assert saved_options(again.attrs) == saved_options(f.attrs)
 
 
 def test_unlike_arguments_are_named():

@@ -10,15 +10,12 @@ import numpy as np
 import xarray as xr
 
 from xcg.common.messages import SceneError
-from xcg.fields.formulas import registry
 from xcg.fields.request import Request
-from xcg.scene.facts import require_facts, with_facts
+from xcg.scene.facts import SAVED_OPTIONS, require_facts, saved_options, with_facts
 from xcg.scene.frame import with_rising
 from xcg.scene.schema import COMPONENTS
 
 _SAME_NODES = 1e-9  # of the spacing
-_OPTIONS = ("gradient", "deviatoric", "size", "temperature", "rtol", "pressure_dims")
-_IF_CHOSEN = ("shear_dims", "fluid_viscosity", "friction", "extent")
 
 
 def request_like(request: Request) -> Request:
@@ -38,7 +35,9 @@ def request_like(request: Request) -> Request:
     f = with_facts(result)
     if "kernel" not in f.attrs and "position" in f:
         raise ValueError("like= is a scene: expected a result of coarse_grain")
-    require_facts(f, ("kernel", "width", *_OPTIONS), "like=", "coarse-grain it again")
+    passed_on = {name: option for name, option in SAVED_OPTIONS.items() if option.for_like}
+    required = [name for name, option in passed_on.items() if option.always]
+    require_facts(f, required, "like=", "coarse-grain it again")
     if "r" in f.coords or "theta" in f.coords:
         raise ValueError(
             "like= has cylindrical axes: give axes=, spacing= and bounds= to both calls"
@@ -50,14 +49,8 @@ def request_like(request: Request) -> Request:
         )
     if np.ndim(f.attrs["width"]):
         raise ValueError("like= has a width for each group: give the same width= to both calls")
-    saved = registry.saved_options(f.attrs)
-    options = {
-        "kernel": saved["kernel"],
-        "width": saved["width"],
-        **arguments_of_nodes(f),
-        **{name: saved[name] for name in _OPTIONS},
-        **{name: saved[name] for name in _IF_CHOSEN if name in saved},
-    }
+    saved = saved_options(f.attrs)
+    options = {name: saved[name] for name in passed_on if name in saved} | arguments_of_nodes(f)
     if options["temperature"] == "mixture":
         options["temperature"] = "unbiased"  # with the same by=
     if "phase" in f.dims:

@@ -11,8 +11,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -33,29 +33,78 @@ OF_SCENES = (
     "frame_origin",
 )
 _ALWAYS = ("periodic", "dimension", "plane", "unit_system")
-# further attributes of a result that its averages depend on, or that sums of different calls have
-# to share
-OF_RESULTS = (
-    "kernel",
-    "width",
-    "cutoff",
-    "kernel_dimension",
-    "gradient",
-    "pressure_dims",
-    "shear_dims",
-    "deviatoric",
-    "size",
-    "size_diameter",
-    "temperature",
-    "sampling",
-    "averaged_axes",
-    "wrapped_axes",
-    "extent",
-    "fluid_viscosity",
-    "friction",
-    "lag",
-    "per",
-)
+
+
+def extent_text(lengths: Mapping[str, float]) -> str:
+    """Return the attribute ``extent`` of a result: lengths of averages along axes (m)."""
+    return ", ".join(f"{axis} = {float(length)!r}" for axis, length in lengths.items())
+
+
+def _lengths_of(text: str) -> dict[str, float]:
+    """Return the lengths of averages (m) by axis from the attribute ``extent``, which was JSON in earlier versions."""
+    if text.startswith("{"):
+        return json.loads(text)
+    lengths = {}
+    for part in text.split(", "):
+        axis, length = part.split(" = ")
+        lengths[axis] = float(length)
+    return lengths
+
+
+class SavedOption(NamedTuple):
+    """Option of a result: an attribute, which its averages and calls with ``like=`` read.
+
+    Attributes
+    ----------
+    read : callable
+        Converts what a file may hold in place of the value.
+    always : bool
+        Whether all results of `coarse_grain` have it.
+    for_like : bool
+        Whether ``like=`` passes it to the next call.
+    is_fact : bool
+        Whether averages depend on it, or sums of different calls have to share it: the coordinate
+        `setup` then holds it.
+    """
+
+    read: Callable[[Any], Any]
+    always: bool = True
+    for_like: bool = True
+    is_fact: bool = True
+
+
+SAVED_OPTIONS: dict[str, SavedOption] = {
+    "kernel": SavedOption(str),
+    "width": SavedOption(float),
+    "cutoff": SavedOption(float, for_like=False),
+    "kernel_dimension": SavedOption(int, for_like=False),
+    "gradient": SavedOption(str),
+    "pressure_dims": SavedOption(str),
+    "shear_dims": SavedOption(str, always=False),
+    "deviatoric": SavedOption(str),
+    "size": SavedOption(str),
+    "size_diameter": SavedOption(float, always=False, for_like=False),
+    "temperature": SavedOption(str),
+    "sampling": SavedOption(str, always=False, for_like=False),  # of earlier versions
+    "averaged_axes": SavedOption(str, for_like=False),
+    "wrapped_axes": SavedOption(str, for_like=False),
+    "extent": SavedOption(_lengths_of, always=False),
+    "fluid_viscosity": SavedOption(float, always=False),
+    "friction": SavedOption(float, always=False),
+    "lag": SavedOption(int, always=False, for_like=False),
+    "per": SavedOption(str, always=False, for_like=False),
+    "rtol": SavedOption(float, is_fact=False),
+}
+OF_RESULTS = tuple(name for name, option in SAVED_OPTIONS.items() if option.is_fact)
+
+
+def saved_options(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return the options that a result was computed with, from its attributes; those of groups are left as they are."""
+    options: dict[str, Any] = {}
+    for name, option in SAVED_OPTIONS.items():
+        if name in attrs:
+            options[name] = attrs[name] if np.ndim(attrs[name]) else option.read(attrs[name])
+    return options
 
 
 # present names of fields, by their names in results of earlier versions
@@ -212,23 +261,6 @@ def _differences(codes: Sequence[str]) -> str:
         if len(values) > 1:
             texts.append(f"{name} is {values[0]} and {values[1]}".replace("null", "not given"))
     return "; ".join(texts)
-
-
-def extent_text(lengths: Mapping[str, float]) -> str:
-    """Return the attribute ``extent`` of a result: lengths of averages along axes (m)."""
-    return ", ".join(f"{axis} = {float(length)!r}" for axis, length in lengths.items())
-
-
-def extent_of(attrs: Mapping[Any, Any]) -> dict[str, float]:
-    """Return the lengths of averages (m) by axis from the attribute ``extent``, which was JSON in earlier versions."""
-    text = str(attrs.get("extent", ""))
-    if text.startswith("{"):
-        return json.loads(text)
-    lengths = {}
-    for part in text.split(", ") if text else ():
-        axis, length = part.split(" = ")
-        lengths[axis] = float(length)
-    return lengths
 
 
 def require_facts(ds: xr.Dataset, names: Sequence[str], purpose: str, way_out: str) -> None:

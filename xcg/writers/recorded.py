@@ -11,15 +11,14 @@ import numpy as np
 import xarray as xr
 
 from xcg.common.messages import SceneError
-from xcg.fields.formulas.registry import saved_options
 from xcg.fields.like import arguments_of_nodes, groups_of
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
-from xcg.scene.facts import OF_RESULTS, OF_SCENES
+from xcg.scene.facts import OF_SCENES, SAVED_OPTIONS, saved_options
 
 _OF_A_STEP = ("size_diameter", "wrapped_axes")  # which change with the grains and the box
 # attributes that all steps have in common
-_SAME = tuple(name for name in (*OF_SCENES, *OF_RESULTS, "rtol") if name not in _OF_A_STEP)
+_SAME = tuple(name for name in (*OF_SCENES, *SAVED_OPTIONS) if name not in _OF_A_STEP)
 
 
 def check_request(request: Request, recorded: xr.Dataset) -> None:

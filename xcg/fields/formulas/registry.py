@@ -30,7 +30,7 @@ from xcg.fields.formulas.rows import (
     rheology,
 )
 from xcg.fields.sums.moments import MOMENTS, Moment, load_bearing_sliding, sliding_contacts
-from xcg.scene.facts import RENAMED, SETUP, extent_of
+from xcg.scene.facts import RENAMED, SETUP, saved_options
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 
@@ -154,38 +154,6 @@ def row(name: str, options: Options) -> Field:
     if name == "velocity_gradient" and options.averaged_gradient != "zero":
         return flow.with_averaged_axes(usual, options.averaged_gradient)
     return usual
-
-
-# Options of a saved result: the attributes of `facts.OF_RESULTS` that hold them, and their types.
-_SAVED: dict[str, Callable[[Any], Any]] = {
-    "kernel": str,
-    "width": float,
-    "gradient": str,
-    "pressure_dims": str,
-    "shear_dims": str,
-    "deviatoric": str,
-    "size": str,
-    "temperature": str,
-    "rtol": float,
-    "size_diameter": float,
-    "fluid_viscosity": float,
-    "friction": float,
-    "lag": int,
-}
-
-
-def saved_options(attrs: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return the options that a result was computed with, as arguments of `coarse_grain`, from its attributes.
-
-    Widths of groups are left as they are.
-    """
-    options: dict[str, Any] = {}
-    for name, kind in _SAVED.items():
-        if name in attrs:
-            options[name] = attrs[name] if np.ndim(attrs[name]) else kind(attrs[name])
-    if "extent" in attrs:
-        options["extent"] = extent_of(attrs)
-    return options
 
 
 def options_of(attrs: Mapping[Any, Any]) -> Options:
