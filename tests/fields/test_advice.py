@@ -190,12 +190,61 @@ def test_the_floor_in_rings_is_that_of_the_grains_around_the_axis():
 
 
 def test_the_warning_of_lost_kinetic_stress_names_a_field_that_takes_it():
-    """Of grains in rigid rotation the velocity varies within the support, and the vorticity takes no stress."""
+    """Of grains in rotation the velocity varies within the support, and the vorticity takes no stress."""
     (system,) = truths.systems(["rigid rotation"])
+    ds = system.make()
+    ds = ds.assign(
+        velocity=ds.velocity + 0.1 * np.random.default_rng(1).normal(size=ds.velocity.shape)
+    )
     names = ["vorticity", "granular_temperature", "fluctuating_kinetic_energy"]
     nodes = system.nodes("volume")
     with pytest.warns(xcg.SceneWarning, match="fluctuating_kinetic_energy lacks about"):
-        system.make().cg.coarse_grain(names, width=1.0, **nodes)
+        ds.cg.coarse_grain(names, width=1.0, **nodes)
+
+
+FLOWS = {
+    "plug": lambda x: np.broadcast_to([1e3, 0.3, 0.0], x.shape),
+    "shear": lambda x: x[..., [2, 2, 2]] * [0.7, 0.0, 0.0],
+    "rotation": lambda x: x[..., [1, 0, 2]] * [-0.7, 0.7, 0.0],
+}
+
+
+@pytest.mark.parametrize("flow", FLOWS)
+@pytest.mark.parametrize("nodes", [{"axes": "xyz"}, {"axes": "xz", "at": {"y": 6.0}}])
+def test_flows_without_fluctuations_have_no_noise(flow, nodes):
+    ds = truths.gas(1)
+    ds = ds.assign(velocity=(ds.velocity.dims, FLOWS[flow](ds.position.values - 6.0)))
+    names = ["shear_rate", "granular_temperature", "velocity_gradient"]
+    assert said(ds, names, about="", width=1.0, spacing=2.0, **nodes) == []
+
+
+@pytest.mark.parametrize("axes", ["", "z"])
+def test_a_plug_has_no_variation_of_the_flow(axes):
+    ds = truths.gas(1)
+    ds = ds.assign(velocity=(ds.velocity.dims, FLOWS["plug"](ds.position.values)))
+    assert said(ds, ["kinetic_stress", "granular_temperature"], about="", axes=axes) == []
+
+
+@pytest.mark.parametrize("strain", [0.0, 0.02])
+@pytest.mark.parametrize("axes", ["", "z", "xyz"])
+def test_contacts_of_a_lattice_have_no_noise(strain, axes):
+    spacing = 0.95 * np.array([1 - strain, 1.0, 1.0])
+    places = np.stack(np.meshgrid(*[np.arange(5)] * 3), axis=-1).reshape(-1, 3) + 0.5
+    ds = xcg.scene_from_arrays(
+        places * spacing,
+        velocity=np.zeros((125, 3)),
+        diameter=np.ones(125),
+        density=1.0,
+        box=[[0.0, 5 * side] for side in spacing],
+        periodic="xyz",
+    ).cg.find_contacts(k_n=1.0)
+    names = ["friction_coefficient", "contact_anisotropy"]
+    f = ds.cg.coarse_grain(names, axes=axes, width=1.5)
+    pressures = (1 - spacing) * spacing / spacing.prod()
+    mean = pressures.mean()
+    friction = np.sqrt(((pressures - mean) ** 2).sum() / 2) / mean
+    np.testing.assert_allclose(f.friction_coefficient, friction, rtol=0.01, atol=1e-3)
+    assert said(ds, names, about="", axes=axes, width=1.5) == []
 
 
 def share_of_variation(text):

@@ -12,16 +12,19 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import active_call, warn_once, warn_user
 from xcg.fields.formulas.doubts import UNKNOWN
-from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR
+from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR, UNIT_OF_RATES
 from xcg.fields.formulas.rules import takes_stress_of_step
 from xcg.fields.plan import Plan
 from xcg.fields.pressures import Pressures, pressures_of, spread_of_contacts
 from xcg.fields.support import floors_of
 from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
+from xcg.scene.sanity_sample import Particles
 from xcg.scene.schema import COMPONENTS, Frame
 
 _CONSIDERABLE = 0.05  # share of the pressure
+_CONTRADICTED = 0.3  # share of a floor below which what nodes show is no noise of random contacts
+_OF_LATTICE = 1e12  # contacts as good as independent ones, as they repeat without scatter
 _ALIKE = 0.3  # difference of a slope of the velocities from the rate of the box
 _SLACK = 1.2  # of a volume fraction above 1 that one grain is the cause of
 _SURE = 5.0  # standard errors of such a slope
@@ -107,20 +110,37 @@ class ComputedStep:
         )
 
     def _floors(self) -> dict[str, str]:
-        """Return which norms and eigenvalues are noise, unless all are small."""
+        """Return which norms and eigenvalues are noise, unless all are small or contradict the step."""
         support = self.plan.support
         assert support is not None
+        if Particles(self.frame, self.plan.setup, self.lattice, is_volume=False).is_lattice:
+            support = replace(support, contacts=_OF_LATTICE)
         if {*_OF_READ_CONTACTS} & {*self.plan.requested}:
             branches, forces = spread_of_contacts(self.frame, self.lattice)
             support = replace(support, branch_spread=branches, tangential=forces)
-        texts = [
-            f"{name} is about {row.floor_text(floor)}"
-            for name, (floor, row) in floors_of(self.plan, support).items()
-            if floor > CONSIDERABLE_FLOOR * row.usual
-        ]
+        texts = []
+        for name, (floor, row) in floors_of(self.plan, support).items():
+            values = self.fields[name]
+            known = values[np.isfinite(values)]
+            shown = float(np.median(known)) if known.size else np.nan
+            if row.floor_units == UNIT_OF_RATES:
+                noise = floor * self._fluctuation() / support.diameter
+                is_small = noise <= CONSIDERABLE_FLOOR * shown
+            else:
+                is_small = shown < _CONTRADICTED * floor
+            if floor > CONSIDERABLE_FLOOR * row.usual and not is_small:
+                texts.append(f"{name} is about {row.floor_text(floor)}")
         if not texts:
             return {}
         return {"floors": f"{', '.join(texts)} where the true value is 0"}
+
+    def _fluctuation(self) -> float:
+        """Return the root of the temperature of the step (m s-1), 0 without grains."""
+        free = without_frozen(self.frame)
+        if not len(free["mass"]):
+            return 0.0
+        parts = pressures_of(self.plan, free, self.lattice)
+        return math.sqrt(parts.kinetic.sum() / (self.plan.options.dimension * parts.mass))
 
     def _unknown_temperatures(self, names: Sequence[str]) -> dict[str, str]:
         """Return which temperatures are NaN at most nodes."""

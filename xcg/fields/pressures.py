@@ -16,6 +16,7 @@ from xcg.scene.schema import COMPONENTS, Frame
 
 _SLICES = 12  # along an axis
 _HELD = 0.3  # share of the squared velocities that means of slices hold, of a flow that is no smooth one
+_ROUNDING = 1e-12  # of the largest velocity: what is smaller is neither flow nor fluctuation
 _SAMPLED = 2_000  # grains and contacts of a step from which its pressures are estimated
 
 
@@ -31,12 +32,15 @@ class Pressures:
         Of the variation of the flow within the support of the kernel.
     averaged : dict
         Of the variation of the flow along each averaged axis.
+    mass : float
+        Of the sampled grains (kg).
     """
 
     kinetic: NDArray
     contact: NDArray
     smeared: NDArray
     averaged: Mapping[str, NDArray]
+    mass: float
 
 
 def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
@@ -62,7 +66,14 @@ def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
         if 2 * rows * np.count_nonzero(pairs) > count:
             relative = velocity[contacts.i[pairs]] - velocity[contacts.j[pairs]]
             kinetic = (relative**2).mean(axis=0) * mass.sum() / 2
-    return Pressures(kinetic, contact, smeared, averaged)
+    least = mass.sum() * (_ROUNDING * np.abs(velocity).max()) ** 2
+    return Pressures(
+        kinetic * (kinetic > least),
+        contact,
+        smeared * (smeared > least),
+        {axis: part * (part > least) for axis, part in averaged.items()},
+        float(mass.sum()),
+    )
 
 
 def _sampled_contacts(frame: Frame, lattice: Lattice) -> tuple[Contacts, int]:

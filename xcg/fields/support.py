@@ -90,6 +90,7 @@ def support_of(scene: Scene, plan: Plan) -> Support | None:
         dimension=d,
         slope=_slope(plan.kernel, seen, d, number) * size,
         volume_fraction=share,
+        diameter=float(size),
     )
 
 

@@ -90,8 +90,10 @@ class Particles:
         nothing = np.empty((0, 0)), np.empty((0, 3))
         if "diameter" not in self.frame or self.count < FEW:
             return nothing
-        middle = self.frame["position"][self.count // 2]
-        low, high = np.quantile(self.sample["position"][:, self.setup.axes], [0.02, 0.98], axis=0)
+        places = self.sample["position"]
+        # a grain, as there may be none in the middle of a drum
+        middle = places[((places - np.median(places, axis=0)) ** 2).sum(axis=1).argmin()]
+        low, high = np.quantile(places[:, self.setup.axes], [0.02, 0.98], axis=0)
         share = min(1.0, _REGION / self.count)
         reach = 0.5 * (high - low).max() * share ** (1 / len(self.setup.axes))
         inside = self._around(middle, reach)

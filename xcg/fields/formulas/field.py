@@ -143,6 +143,8 @@ class Support:
         Standard deviation of the branch lengths over their mean; NaN before a step is read.
     tangential : float
         Root mean square of the tangential forces over the mean normal one; NaN before a step is read.
+    diameter : float
+        d43 (m).
     """
 
     grains: float
@@ -153,6 +155,7 @@ class Support:
     volume_fraction: float
     branch_spread: float = math.nan
     tangential: float = math.nan
+    diameter: float = math.nan
 
     @property
     def is_dense(self) -> bool:

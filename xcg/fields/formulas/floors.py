@@ -17,6 +17,7 @@ import math
 from xcg.fields.formulas.field import Support
 
 CONSIDERABLE_FLOOR = 0.2  # share of the usual value of a field
+UNIT_OF_RATES = "sqrt(T) / d43"
 USUAL_FRICTION = 0.3
 USUAL_INERTIAL_NUMBER = 0.1
 USUAL_ANISOTROPY = 0.1

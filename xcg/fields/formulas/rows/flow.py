@@ -425,7 +425,7 @@ ROWS: dict[str, Field] = {
         fields=("shear_rate_tensor",),
         floor=floors.shear_rate,
         usual=1.0,
-        floor_units="sqrt(T) / d43",
+        floor_units=floors.UNIT_OF_RATES,
         is_norm=True,
     ),
     "kinetic_stress": Field(
