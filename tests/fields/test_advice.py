@@ -218,6 +218,19 @@ def test_flows_without_fluctuations_have_no_noise(flow, nodes):
     assert said(ds, names, about="", width=1.0, spacing=2.0, **nodes) == []
 
 
+def test_a_converging_flow_without_fluctuations_has_no_noise():
+    """The velocity falls with the square of the distance, which no cubic polynomial holds."""
+    rng = np.random.default_rng(3)
+    places = rng.uniform([-4, -4, 4], [4, 4, 12], (20_000, 3))
+    velocity = -50 * places / np.linalg.norm(places, axis=1)[:, None] ** 3
+    ds = xcg.scene_from_arrays(
+        places, velocity=velocity, diameter=np.full(20_000, 0.4), density=1.0
+    )
+    bounds = {"x": (-1, 1), "y": (-1, 1), "z": (7, 9)}
+    names = ["shear_rate", "granular_temperature"]
+    assert said(ds, names, about="", width=0.5, spacing=0.5, bounds=bounds) == []
+
+
 @pytest.mark.parametrize("axes", ["", "z"])
 def test_a_plug_has_no_variation_of_the_flow(axes):
     ds = truths.gas(1)

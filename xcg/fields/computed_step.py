@@ -140,7 +140,13 @@ class ComputedStep:
         if not len(free["mass"]):
             return 0.0
         parts = pressures_of(self.plan, free, self.lattice)
-        return math.sqrt(parts.kinetic.sum() / (self.plan.options.dimension * parts.mass))
+        temperature = float(parts.kinetic.sum()) / (self.plan.options.dimension * parts.mass)
+        # it holds what is left of a flow that is no smooth one
+        of_fits = self.fields.get("granular_temperature", np.empty(0))
+        of_fits = of_fits[of_fits >= 0]
+        if of_fits.size:
+            temperature = min(temperature, float(np.median(of_fits)))
+        return math.sqrt(temperature)
 
     def _unknown_temperatures(self, names: Sequence[str]) -> dict[str, str]:
         """Return which temperatures are NaN at most nodes."""
