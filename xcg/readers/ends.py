@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from itertools import pairwise
 
 from xcg.common.messages import warn_user
 from xcg.readers.arguments import Arguments
@@ -78,7 +79,14 @@ def warn_of_missing_facts(
             "taken; say units='SI', 'reduced' (LAMMPS's lj) or factors such as {'length': 1e-3}, or "
             f"{listing.reader.UNNAMED_UNITS}"
         )
-    if lacks_ids(listing, ends):
+    moved = _moved_rows(listing)
+    if listing.reader.ROWS_ARE_IDS and lacks_ids(listing, ends):
+        warn_user(
+            f"{moved}: the files hold no ids, and rows are other particles where one was removed: velocities from "
+            "positions, displacements and diffusion are refused. Split the file where particles are removed, and "
+            "open the parts one by one"
+        )
+    elif lacks_ids(listing, ends):
         by_id = any(step.contacts for step in listing.steps)
         report_missing_ids(listing.steps[0].particles, len(listing.steps), contacts=by_id)
     elif arguments.times is None:
@@ -121,4 +129,14 @@ def _cause_of_steps(listing: Listing) -> str:
 def lacks_ids(listing: Listing, ends: Mapping[StepRef, Frame]) -> bool:
     """Return whether rows without ids may be other particles in every step."""
     lacking = any("particle_id" not in frame for frame in ends.values())
-    return lacking and not listing.reader.ROWS_ARE_IDS
+    return lacking and (not listing.reader.ROWS_ARE_IDS or bool(_moved_rows(listing)))
+
+
+def _moved_rows(listing: Listing) -> str:
+    """Return the first steps between which the number of particles falls, in words; "" without such steps."""
+    for before, after in pairwise(step.particles for step in listing.steps):
+        if after.rows < before.rows:
+            return (
+                f"{source_of(after)} has {after.rows} particles, the step before it {before.rows}"
+            )
+    return ""

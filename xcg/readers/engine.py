@@ -200,8 +200,8 @@ class Engine(ABC):
     WHOLE_VECTORS : bool
         Whether a column holds all components of a vector.
     ROWS_ARE_IDS : bool
-        Whether rows without ``particle_id`` are the same particles in every step, and contacts name
-        them by the number of their row.
+        Whether rows without ``particle_id`` are the same particles in every step, unless their
+        number falls, and contacts name them by the number of their row.
 
     Examples
     --------

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
 from tests import real_data
 from tests.dumps import write
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, SceneWarning
 from xcg.readers.engines.mercury import Mercury
 from xcg.readers.engines.mercury_restart import restart_beside
 from xcg.readers.open import open_scene
@@ -273,3 +275,22 @@ def test_unit_gravity_is_scaled(run):
 
 def test_a_missing_restart_file_is_none():
     assert restart_beside("nowhere/run.data") is None
+
+
+def test_rows_are_no_ids_where_particles_are_removed(tmp_path):
+    text = data_text((0, 0.5)) + data_text((1,), ROWS[1:])
+    write(tmp_path / "run.data", text)
+    write(tmp_path / "run.fstat", fstat_text((0, 0.5)) + fstat_text((1,), ()))
+    write(tmp_path / "run.restart", RESTART)
+    message = r"run\.data \(step 2\) has 2 particles, the step before it 3: .*Split the file"
+    with pytest.warns(SceneWarning, match=message):
+        ds = open_scene(tmp_path / "run.data", tmp_path / "run.fstat")
+    assert (ds.load().contact_i >= 0).sum("contact").values.tolist() == [2, 2, 0]
+    with pytest.raises(SceneError, match="ids"):
+        ds.cg.derive("velocity")
+    with pytest.raises(SceneError, match="ids"):
+        ds.cg.mean_squared_displacement()
+    # particles that enter are appended
+    write(tmp_path / "run.data", data_text((0,), ROWS[:2]) + data_text((0.5, 1)))
+    with warnings.catch_warnings(action="error"):
+        open_scene(tmp_path / "run.data").cg.derive("velocity")
