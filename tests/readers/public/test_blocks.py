@@ -128,12 +128,21 @@ def test_a_line_of_text_below_the_rows_is_named(tmp_path, line):
     ("row", "hint"),
     [
         (NAMES, "row 2 repeats the names of the columns.*delete"),
+        ("# restart", r"row 2 is a comment \('# restart'\).*delete"),
         ('"7","0.1","0.2","0.3","0.1"', r"numbers in quotes are read by pandas.*sep=','\)\)$"),
     ],
 )
 def test_rows_of_other_words_name_the_cause(tmp_path, row, hint):
     with pytest.raises(xcg.SceneError, match=hint):
         open_text(tmp_path, f"{NAMES}\n{ROWS}{row}\n{ROWS}").load()
+
+
+@pytest.mark.parametrize("name", ["p.csv", "p.txt"])
+def test_carriage_returns_alone_are_named(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(f"{NAMES}\n{ROWS}".replace("\n", "\r").encode())
+    with pytest.raises(xcg.SceneError, match=f"{name}: lines end in carriage returns alone"):
+        xcg.open_scene(path, engine="table", density=1.0)
 
 
 @pytest.mark.filterwarnings("error")

@@ -314,6 +314,10 @@ def _fault(
     words = line.split()
     if words == " ".join(columns).encode().split():
         return "repeats the names of the columns, as after a restart: delete this line"
+    if line.startswith(b"#") and len(words) != len(columns):
+        return (
+            f"is a comment ({_shown(line)}); comments stand above the rows only: delete this line"
+        )
     if len(words) != len(columns):
         hint = f"the columns are {' '.join(columns)}"
         if last and line.count(b" ") < len(columns) - 1:  # else cells are empty
@@ -408,7 +412,7 @@ def scan_csv(
             separator = _separator_of(first.decode("utf-8-sig", "replace"))
             first = b"".join(_joined_words([first], separator, len(in_order)))
         else:
-            first, comments = _header_line(scanner)
+            first, comments = _header_line(scanner, path)
         line = first.decode("utf-8-sig", "replace").lstrip("#").strip()
         separator, names = split_header(line)
         twice = [name for name, count in Counter(names).items() if count > 1]
@@ -486,14 +490,24 @@ def _clock_columns(
     return clock
 
 
-def _header_line(scanner: Scanner) -> tuple[bytes, list[bytes]]:
+def _header_line(scanner: Scanner, path: str) -> tuple[bytes, list[bytes]]:
     """Return the line that names the columns, and the comments above and below it, and pass over them.
 
     It is the first line without "#", or, where that holds numbers, the last comment of as many
     words.
+
+    Raises
+    ------
+    SceneError
+        If lines have no ends but carriage returns.
     """
     comments = _comments(scanner)
     below = scanner.sample(_LONGEST_ROW)
+    if b"\r" in below.partition(b"\n")[0].rstrip(b"\r"):
+        raise SceneError(
+            f"{path}: lines end in carriage returns alone, as of old Macs; convert the file, such as by "
+            "tr '\\r' '\\n' < old > new"
+        )
     first = cells_of(_BLANKS_OF_DATES.sub(b"_", below.partition(b"\n")[0]))
     if below.strip() and not all(map(_is_value, first)):
         header = scanner.line()
@@ -541,7 +555,7 @@ def _names_in_order(path: str, in_order: Sequence[str], words: Sequence[str]) ->
 def first_row(path: str) -> tuple[tuple[str, ...], list[str]]:
     """Return the names of the columns of a text, and the words of its first row."""
     with scanned(path) as scanner:
-        header, _ = _header_line(scanner)
+        header, _ = _header_line(scanner, path)
         line = header.decode("utf-8-sig", "replace").lstrip("#").strip()
         separator, names = split_header(line)
         row = b"".join(_joined_words([scanner.line()], separator, len(names)))
