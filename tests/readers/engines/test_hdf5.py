@@ -194,3 +194,33 @@ def test_mappings_of_contacts_are_offered_by_mapping(tmp_path, change, offer):
     with pytest.raises(xcg.SceneError, match=offer) as error:
         xcg.open_scene(path, contacts=path, mapping=mapping)
     assert "names=" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["units", "unit"])
+@pytest.mark.parametrize("text", ["mm", np.bytes_("mm"), np.array(["mm"], object)])
+def test_units_of_datasets_are_converted(tmp_path, name, text):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        for step in (1, 2):
+            group = file.create_group(f"step{step}")
+            group["position"] = [[100.0, 200.0, 300.0]]
+            group["radius"] = [0.05]
+            group["velocity"] = [[1.0, 0.0, 0.0]]
+            group["charge"] = [3.0]
+            group["time"] = 500.0 * step
+            group["position"].attrs[name] = text
+            group["velocity"].attrs[name] = "cm/s"
+            group["radius"].attrs[name] = "m"
+            group["charge"].attrs[name] = "a word"
+            group["time"].attrs[name] = "ms"
+    names = ("position", "radius", "velocity", "charge", "time")
+    options = {"mapping": {key: f"/step{{step}}/{key}" for key in names}, "density": 1.0}
+    options["mapping"]["particle_id"] = "/step{step}/charge"
+    ds = xcg.open_scene(tmp_path / "run.h5", **options)
+    np.testing.assert_allclose(ds.position[0, 0], [0.1, 0.2, 0.3], rtol=1e-15)
+    np.testing.assert_allclose(ds.velocity[0, 0], [0.01, 0, 0], rtol=1e-15)
+    assert ds.diameter[0, 0] == 0.1
+    assert ds.charge[0, 0] == 3.0
+    np.testing.assert_allclose(ds.time, [0.5, 1.0], rtol=1e-15)
+    ds = xcg.open_scene(tmp_path / "run.h5", units="si", **options)
+    np.testing.assert_array_equal(ds.position[0, 0], [100, 200, 300])
+    assert ds.time.values.tolist() == [500.0, 1000.0]

@@ -21,8 +21,9 @@ from xcg.common.messages import SceneError, did_you_mean
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.filenames import sort_by_numbers
-from xcg.readers.files.hdf5data import dataset, is_hdf5, listing, opened
+from xcg.readers.files.hdf5data import dataset, is_hdf5, listing, opened, text_of
 from xcg.readers.files.text import source_of
+from xcg.readers.named_columns import factor_of
 from xcg.readers.names import ALL_SLOTS, CONTACT_SLOTS, vector_columns
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
@@ -64,13 +65,16 @@ class Hdf5(Columnar):
         if not any(name in mine for name in _FIRST):
             lacking = "contact_i" if contacts else "position"
             raise SceneError(f"mapping= lacks {lacking!r}; it has {', '.join(mapping)}")
-        scan = partial(_steps, mine=mine, time=time)
-        return index_steps(paths, f"hdf5 {mine} {time}", scan, options.extra.get("timestep"))
+        convert = "units" not in options.given
+        scan = partial(_steps, mine=mine, time=time, convert=convert)
+        key = f"hdf5 {mine} {time} {convert}"
+        return index_steps(paths, key, scan, options.extra.get("timestep"))
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
     ) -> dict[str, NDArray]:
-        """Read the datasets of the wanted columns."""
+        """Read the datasets of the wanted columns, in SI where attributes name their units."""
+        convert = "units" not in options.given
         mapping = _mapping(options)
         first = _filled(mapping[_first_of(mapping)], ref)
         table: dict[str, NDArray] = {}
@@ -86,6 +90,8 @@ class Hdf5(Columnar):
                     table[column] = _numbers_of_members(file, path, first, ref)
                 else:
                     table[column] = _values(file, path, ref, part)
+                    if convert:
+                        table[column] *= _factor(file, _members(file, path)[0], column)
         return table
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
@@ -168,7 +174,9 @@ def _filled(path: str, ref: StepRef) -> str:
 # --- the index -------------------------------------------------------------------------------------------
 
 
-def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[StepRef]:
+def _steps(
+    path: str, mine: Mapping[str, str], time: str | None, *, convert: bool
+) -> Iterator[StepRef]:
     with opened(path) as file:
         first = _first_of(mine)
         for placeholder in _PLACEHOLDERS:
@@ -177,18 +185,18 @@ def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[Ste
             for text, number in _numbers_of_groups(file, mine[first], placeholder):
                 ref = StepRef(path, 0, number, kind=text, step=-1)
                 if placeholder == "{step}":
-                    ref = replace(ref, step=int(text), time=_time(file, time, ref))
+                    ref = replace(ref, step=int(text), time=_time(file, time, ref, convert=convert))
                 yield _with_columns(file, ref, mine)
             return
         data = dataset(file, _members(file, mine[first])[0])
         if len(data.shape) > (2 if first == "position" else 1):
             for k in range(data.shape[0]):
                 ref = StepRef(path, 0, kind=_STACKED, offset=k, step=k)
-                ref = replace(ref, time=_time(file, time, ref))
+                ref = replace(ref, time=_time(file, time, ref, convert=convert))
                 yield _with_columns(file, ref, mine, steps=data.shape[0])
             return
         ref = StepRef(path, 0, step=-1)
-        yield _with_columns(file, replace(ref, time=_time(file, time, ref)), mine)
+        yield _with_columns(file, replace(ref, time=_time(file, time, ref, convert=convert)), mine)
 
 
 def _first_of(mine: Mapping[str, str]) -> str:
@@ -289,7 +297,16 @@ def _members(file: h5py.File, path: str) -> list[str]:
     return members
 
 
-def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
+def _factor(file: h5py.File, path: str, column: str) -> float:
+    """Return the factor to SI of the unit that an attribute of a dataset names; 1 without one."""
+    attributes = dataset(file, path).attrs
+    for name in ("units", "unit"):
+        for unit in np.ravel(attributes.get(name, ()))[:1]:
+            return factor_of(f"{column} [{text_of(unit)}]", column)
+    return 1.0
+
+
+def _time(file: h5py.File, path: str | None, ref: StepRef, *, convert: bool) -> float | None:
     """Time of a step, from a dataset or an attribute ("group@name")."""
     if path is None:
         return None
@@ -304,6 +321,8 @@ def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
         time = float(values[0])
     if not np.isfinite(time):
         raise SceneError(f"{source_of(ref)}: {filled!r} does not hold the time of this step")
+    if convert and not attribute:
+        time *= _factor(file, group, "time")
     return time
 
 
