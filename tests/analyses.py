@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 
 import numpy as np
-import pytest
 import xarray as xr
 
 import xcg
@@ -97,7 +96,7 @@ CALLS: Mapping[str, Callable[[xr.Dataset], xr.Dataset]] = {
     "find_contacts": lambda ds: _stress(ds.cg.find_contacts(k_n=2.0)),
     "microstructure": lambda ds: ds.cg.microstructure(),
     "contact_history": lambda ds: ds.cg.contact_history([1]),
-    "voronoi": lambda ds: pytest.importorskip("pyvoro2") and ds.cg.voronoi(),
+    "voronoi": lambda ds: ds.cg.voronoi(),
     "particle_stress": lambda ds: ds.cg.particle_stress(),
     "force_chains": lambda ds: ds.cg.force_chains(),
     "select_chains": lambda ds: ds.cg.force_chains().cg.select_chains(min_stress=1e-3),

@@ -760,8 +760,20 @@ TABLE = [
         "test_order_is_that_of_brute_force",
     ),
     Mutation(
-        "analysis/voronoi.py", "np.cross(away[following], away)", "np.cross(away, away[following])",
+        "compiled/voronoi.py", "0.5 * (d2 + radius2 - particles[j, 3] ** 2)", "0.5 * d2",
         "test_normals_point_from_the_first_particle_to_the_second",
+    ),
+    Mutation(
+        "compiled/voronoi.py", "limit *= 8.0", "limit *= 1.0",
+        "test_lattices_fill_the_box_however_little_they_are_disturbed",
+    ),
+    Mutation(
+        "compiled/voronoi.py", "square = more", "square = 0.0",
+        "test_normals_point_from_the_first_particle_to_the_second",
+    ),
+    Mutation(
+        "compiled/voronoi.py", "0.5 * (y[t] * z[s] - z[t] * y[s])", "0.5 * (z[t] * y[s] - y[t] * z[s])",
+        "test_faces_are_those_of_both_cells",
     ),
     Mutation(
         "analysis/contact_history.py", "lattice.numbers(self.branch[new] - before.branch[old])",

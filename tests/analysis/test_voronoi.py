@@ -1,7 +1,5 @@
 """Radical Voronoi cells: they fill the box, and are those of half spaces."""
 
-import builtins
-import gc
 import warnings
 from itertools import product
 
@@ -12,8 +10,6 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 import xcg
 from tests import raise_if_dask_computes
-
-pytest.importorskip("pyvoro2")
 
 
 def _scene(seed=1, periodic="xyz", ends="xyz", count=60, **options):
@@ -75,6 +71,77 @@ def test_face_centred_cubic_has_twelve_neighbours_and_kepler_s_fraction():
     # rhombic dodecahedron of a sphere of radius one: 12 rhombi of sqrt(2) / 2
     np.testing.assert_allclose(v.voronoi_area, 6 * np.sqrt(2) * 1e-6 / 2, rtol=1e-9)
     assert v.sizes["face"] == 6 * ds.sizes["particle"]
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-7])
+@pytest.mark.parametrize(
+    ("neighbours", "offsets"),
+    [
+        (6, [[0.0, 0.0, 0.0]]),
+        (14, [[0.0, 0.0, 0.0], [0.5, 0.5, 0.5]]),
+        (12, [[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]]),
+    ],
+    ids=["cubic", "body-centred", "face-centred"],
+)
+def test_lattices_fill_the_box_however_little_they_are_disturbed(neighbours, offsets, shift):
+    """Up to eight cells meet at a point."""
+    lattice = np.array(list(product(range(6), repeat=3)), float)
+    position = np.concatenate([lattice + offset for offset in offsets])
+    position += 0.2 + shift * np.random.default_rng(1).normal(size=position.shape)
+    box = dict.fromkeys("xyz", (0.0, 6.0))
+    ds = xcg.scene_from_arrays(position, diameter=0.5, density=1.0, box=box, periodic="xyz")
+    v = ds.cg.voronoi()
+    np.testing.assert_allclose(v.voronoi_volume, 1 / len(offsets), rtol=50 * shift + 1e-12)
+    np.testing.assert_allclose(v.voronoi_volume.sum(), 216, rtol=1e-11)
+    assert (v.voronoi_neighbours == neighbours).all()
+
+
+def test_a_large_sphere_has_a_face_to_each_small_one_around():
+    """Many more faces than memory is set aside for; faces of both sides are the same."""
+    r = np.random.default_rng(5)
+    away = r.normal(size=(900, 3))
+    around = 5 + 3 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    ds = xcg.scene_from_arrays(
+        np.concatenate([[[5.0, 5.0, 5.0]], around]),
+        diameter=np.array([5.9] + [0.1] * 900),
+        density=1.0,
+        box=dict.fromkeys("xyz", (0.0, 10.0)),
+        periodic="",
+    )
+    v = ds.cg.voronoi(faces=True).isel(time=0)
+    np.testing.assert_allclose(v.voronoi_volume.sum(), 1000, rtol=1e-12)
+    assert int(v.voronoi_neighbours[0]) == 900
+    ends = np.concatenate([v.face_i, v.face_j])
+    np.testing.assert_array_equal(np.bincount(ends), v.voronoi_neighbours)
+    # the planes between touch a sphere around the centre, and their faces enclose it
+    distance = (9 + 2.95**2 - 0.05**2) / 6
+    area = v.face_area.where(v.face_i == 0).sum()
+    assert 1 < float(area) / (4 * np.pi * distance**2) < 1.01
+    np.testing.assert_allclose(v.voronoi_volume[0], area * distance / 3, rtol=1e-12)
+
+
+def test_cells_reach_over_a_gap_of_hundred_diameters():
+    """Between two beds the planes are halfway: cells fill the box, and end at its faces and there alone."""
+    r = np.random.default_rng(6)
+    bed = np.array(list(product(range(8), range(8), range(3)))) + r.uniform(0.3, 0.7, (192, 3))
+    ds = xcg.scene_from_arrays(
+        np.concatenate([bed, bed * [1, 1, -1] + [0, 0, 106]]),
+        diameter=0.9,
+        density=1.0,
+        box={"x": (0, 8), "y": (0, 8), "z": (0, 106)},
+        periodic="xy",
+    )
+    v = ds.cg.voronoi().isel(time=0)
+    half = v.voronoi_volume.to_numpy().reshape(2, 192)
+    np.testing.assert_allclose(half.sum(axis=1), 8 * 8 * 53, rtol=1e-12)
+    np.testing.assert_allclose(half[0], half[1], rtol=1e-11)
+
+
+def test_threads_do_not_change_the_cells(monkeypatch):
+    ds = xcg.datasets.random_scene(300, seed=2)
+    alone = ds.cg.voronoi(faces=True)
+    monkeypatch.setattr("xcg.analysis.voronoi.threads_for", lambda count, threads: 3)
+    xr.testing.assert_identical(ds.cg.voronoi(faces=True), alone)
 
 
 def test_faces_are_those_of_both_cells():
@@ -174,50 +241,14 @@ def test_one_particle_has_the_box():
 def test_coinciding_centres_are_named():
     ds = _scene()
     ds["position"][0, 1] = ds.position[0, 0]
-    with pytest.raises(xcg.SceneError, match=r"no Voronoi cells of these particles"):
+    with pytest.raises(xcg.SceneError, match=r"no Voronoi cells of 2 particles, such as id 0, as"):
         xcg.voronoi(ds)
-
-
-def test_the_garbage_collector_waits_for_the_cells(monkeypatch):
-    """It would scan their lists while these grow; it is on again afterwards, also after an error."""
-    import pyvoro2
-
-    ds = _scene()
-    states = []
-    compute = pyvoro2.compute
-
-    def observed(*args, **options):
-        states.append(gc.isenabled())
-        return compute(*args, **options)
-
-    monkeypatch.setattr(pyvoro2, "compute", observed)
-    xcg.voronoi(ds)
-    assert gc.isenabled()
-    ds["position"][0, 1] = ds.position[0, 0]
-    with pytest.raises(xcg.SceneError):
-        xcg.voronoi(ds)
-    assert gc.isenabled()
-    assert states == [False, False]
 
 
 def test_a_tilted_box_that_is_open_is_refused():
     ds = _scene(periodic="xy", lattice={"xy": 3e-3})
     with pytest.raises(xcg.SceneError, match="it is open along z"):
         xcg.voronoi(ds)
-
-
-def test_without_pyvoro2_the_extra_is_named(monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *args, **options):
-        if name == "pyvoro2":
-            raise ImportError(name=name)
-        return real(name, *args, **options)
-
-    monkeypatch.setitem(__import__("sys").modules, "pyvoro2", None)
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(ImportError, match=r"pip install 'xcg\[voronoi\]'"):
-        xcg.voronoi(_scene())
 
 
 def test_cells_of_a_cylinder_in_a_box_are_said_to_reach_beyond_it():

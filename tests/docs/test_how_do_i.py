@@ -20,7 +20,6 @@ OPTIONAL = {
     "contact_graph(": "networkx",
     "pyvista(": "pyvista",
     "view(": "pyvista",
-    "voronoi(": "pyvoro2",
 }  # packages that answers need besides matplotlib
 LIGGGHTS = """ITEM: TIMESTEP
 10

@@ -1,10 +1,9 @@
-"""Radical Voronoi (Laguerre) cells of the particles, by Voro++."""
+"""Radical Voronoi (Laguerre) cells of the particles."""
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -13,8 +12,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import extra, rising_pair
+from xcg.common.checks import rising_pair
 from xcg.common.messages import SceneError, plain, warn_once
+from xcg.compiled._jit import for_parts, threads_for
+from xcg.compiled.voronoi import Cell, Results, Tree, add_cells
 from xcg.scene.conform import takes_scene
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
@@ -23,8 +24,10 @@ from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
 from xcg.steps.labels import call_of
 
-# of the mean cell's volume^(2/3): rounding makes smaller faces where more than four cells meet
-_LEAST_AREA = 1e-6
+_LEAF = 6  # particles of the smallest boxes, at most
+# memory for planes that cut a cell, and for faces; both grow where they do not suffice
+_PLANES = 64
+_FACES_A_CELL = 16
 # by which the volumes of the cells may miss that of the box
 _ROUNDING = 1e-9
 # Rows of a lazy result; cells of random points have 15.5 faces on average, half of them a pair.
@@ -61,7 +64,7 @@ def voronoi(
 ) -> xr.Dataset:
     """Compute the radical Voronoi (Laguerre) cell of each particle.
 
-    Lazy where the scene is. Needs ``pip install 'xcg[voronoi]'``.
+    Lazy where the scene is.
 
     Parameters
     ----------
@@ -93,8 +96,6 @@ def voronoi(
         not periodic along all axes.
     ValueError
         If `bounds` has a periodic or unknown axis.
-    ImportError
-        If pyvoro2 is not installed.
 
     Notes
     -----
@@ -121,7 +122,6 @@ def voronoi(
         raise ValueError(
             f"bounds={plain(bounds)}: expected ends of axes, for example {{'z': (0.0, 0.2)}}"
         )
-    extra("pyvoro2", "voronoi", "voronoi")
     call = call_of("voronoi", {"bounds": bounds, "faces": faces or None})
     return run(scene, _Cells(bounds or {}, faces), call=call, on_error=on_error)
 
@@ -176,58 +176,66 @@ class _Cells(FrameAnalysis):
         vectors, first = self._region(lattice, source)
         place = _inside(frame, vectors, first, lattice, source)
         volume = abs(np.linalg.det(vectors))
-        unit = (volume / max(1, len(place))) ** (1 / 3)  # length of a mean cell
-        # Voro++ expects coordinates of the order of one
-        box = _domain(vectors / unit, lattice)
-        with _collector_paused():
-            cells = _cells(place / unit, frame["diameter"] / 2 / unit, box, source)
-            i, j, area_vector = _faces_of(cells)
-        volumes = np.array([cell["volume"] for cell in cells]) * unit**3
-        if len(cells) and abs(volumes.sum() / volume - 1) > _ROUNDING:
-            raise SceneError(
-                f"{source}: the cells fill {volumes.sum() / volume:.9g} of the box, as rounding "
-                "broke some; are there particles at one place, or of extremely different sizes?"
-            )
-        area = np.linalg.norm(area_vector, axis=1)
-        counts = (j >= 0) & (j != i) & (area > _LEAST_AREA)
-        with np.errstate(divide="ignore"):
-            fraction = np.where(volumes > 0, frame["volume"] / volumes, np.nan)
-        at_ends = self._at_ends(i, j, area_vector, area, len(volumes))
-        at_edge = np.zeros(len(volumes), bool)
-        for pair in at_ends.values():
-            at_edge |= pair.any(axis=0)
-        _warn_of_reach(at_ends, at_edge, volumes, fraction, source)
+        unit = (volume / max(1, len(place))) ** (1 / 3)  # edge of a mean cell
+        radius = frame["diameter"] / 2
+        order, tree = _tree(place / unit, radius / unit, vectors / unit, lattice.open_axes)
+        cells, faces = _cells(tree, self.faces, self.threads)
+        back = np.argsort(order)
+        volumes = cells.volume[back] * unit**3
         ids = frame["particle_id"]
+        _check(volumes, volume, ids, source)
+        fraction = np.full(len(place), np.nan)
+        np.divide(frame["volume"], volumes, out=fraction, where=volumes > 0)
+        # the two faces of a layer are no edges
+        in_plane = np.repeat([axis in self.setup.plane for axis in COMPONENTS], 2)
+        at_ends = cells.at_ends[back] & in_plane
+        self._warn_of_reach(at_ends, volumes, fraction, source)
         results = {
             "particle_id": ids,
             "voronoi_volume": volumes,
             "voronoi_fraction": fraction,
-            "voronoi_area": np.bincount(i, area, len(ids)) * unit**2,
-            "voronoi_neighbours": np.bincount(i[counts], minlength=len(ids)),
-            "voronoi_at_edge": at_edge.astype(int),
+            "voronoi_area": cells.area[back] * unit**2,
+            "voronoi_neighbours": cells.neighbours[back],
+            "voronoi_at_edge": at_ends.any(axis=1).astype(int),
         }
         if self.faces:
-            once = counts & (i < j)
+            i, j = order[faces[:, :2].astype(int)].T
+            once = np.flatnonzero(i < j)
+            once = once[np.lexsort([j[once], i[once]])]
+            area = np.linalg.norm(faces[once, 2:], axis=1, keepdims=True)
             results["face_i"] = ids[i[once]]
             results["face_j"] = ids[j[once]]
-            results["face_area"] = area[once] * unit**2
-            results["face_normal"] = area_vector[once] / area[once, None]
+            results["face_area"] = area[:, 0] * unit**2
+            results["face_normal"] = faces[once, 2:] / area
         return results
 
-    def _at_ends(
-        self, i: NDArray, j: NDArray, area_vector: NDArray, area: NDArray, count: int
-    ) -> dict[str, NDArray]:
-        """Return which cells have a face to the low and the high end (2, n) of each open axis."""
-        at_ends = {}
-        to_edge = (j < 0) & (area > _LEAST_AREA)
+    def _warn_of_reach(
+        self, at_ends: NDArray, volumes: NDArray, fraction: NDArray, source: str
+    ) -> None:
+        """Warn if cells at both ends of an axis hold much more volume than their grains need inside.
+
+        The packing fraction of grains inside is the median of cells without a face to an open edge.
+        """
+        at_edge = at_ends.any(axis=1)
+        inside = ~at_edge & np.isfinite(fraction)
+        if inside.sum() < _INSIDE:
+            return
+        packing = np.median(fraction[inside])
+        axes = []
         for axis in self.setup.plane:
-            if axis not in self.setup.periodic:
-                outward = area_vector[:, COMPONENTS.index(axis)]
-                pair = np.zeros((2, count), bool)
-                pair[0, i[to_edge & (outward < -0.5 * area)]] = True
-                pair[1, i[to_edge & (outward > 0.5 * area)]] = True
-                at_ends[axis] = pair
-        return at_ends
+            low, high = at_ends[:, 2 * COMPONENTS.index(axis) :][:, :2].T
+            held = [volumes[cells].sum() for cells in (low, high)]
+            needed = [(fraction[cells] * volumes[cells]).sum() / packing for cells in (low, high)]
+            if all(n < (1 - _OUTSIDE) * h for n, h in zip(needed, held, strict=True)):
+                axes.append(axis)
+        if axes:
+            warn_once(
+                "cells beyond the grains",
+                f"{source}: {at_edge.sum()} of {len(volumes)} cells end at edges of the region, and at both ends "
+                f"along {', '.join(axes)} they hold more than {1 / (1 - _OUTSIDE):.2g} times the volume that "
+                "their grains take up inside, as in a container that is no box: voronoi_fraction is too low "
+                "there. Leave them out, v.where(v.voronoi_at_edge == 0), or end the region at the grains, bounds=",
+            )
 
     def _region(self, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
         """Return vectors along the edges of the region that cells fill (3, 3), and its corner."""
@@ -251,34 +259,18 @@ class _Cells(FrameAnalysis):
         return vectors, first
 
 
-def _warn_of_reach(
-    at_ends: Mapping[str, NDArray],
-    at_edge: NDArray,
-    volumes: NDArray,
-    fraction: NDArray,
-    source: str,
-) -> None:
-    """Warn if cells at both ends of an axis hold much more volume than their grains need inside.
-
-    The packing fraction of grains inside is the median of cells without a face to an open edge.
-    """
-    inside = ~at_edge & np.isfinite(fraction)
-    if inside.sum() < _INSIDE:
-        return
-    packing = np.median(fraction[inside])
-    axes = []
-    for axis, pair in at_ends.items():
-        held = [volumes[cells].sum() for cells in pair]
-        needed = [(fraction[cells] * volumes[cells]).sum() / packing for cells in pair]
-        if all(n < (1 - _OUTSIDE) * h for n, h in zip(needed, held, strict=True)):
-            axes.append(axis)
-    if axes:
-        warn_once(
-            "cells beyond the grains",
-            f"{source}: {at_edge.sum()} of {len(volumes)} cells end at edges of the region, and at both ends "
-            f"along {', '.join(axes)} they hold more than {1 / (1 - _OUTSIDE):.2g} times the volume that "
-            "their grains take up inside, as in a container that is no box: voronoi_fraction is too low "
-            "there. Leave them out, v.where(v.voronoi_at_edge == 0), or end the region at the grains, bounds=",
+def _check(volumes: NDArray, volume: float, ids: NDArray, source: str) -> None:
+    """Raise SceneError if a particle has no cell, as another is at its place, or the cells do not fill the region."""
+    together = np.isnan(volumes)
+    if together.any():
+        raise SceneError(
+            f"{source}: no Voronoi cells of {together.sum()} particles, such as id "
+            f"{ids[together.argmax()]}, as others are at the same places; remove one of two"
+        )
+    if len(volumes) and abs(volumes.sum() / volume - 1) > _ROUNDING:
+        raise SceneError(
+            f"{source}: the cells fill {volumes.sum() / volume:.9g} of the box, as rounding "
+            "broke some; are there particles at almost one place, or of extremely different sizes?"
         )
 
 
@@ -298,69 +290,62 @@ def _inside(
     return place
 
 
-def _domain(vectors: NDArray, lattice: Lattice) -> Any:
-    """Return a region as pyvoro2 takes it."""
-    import pyvoro2
-
-    is_tilted = (vectors != np.diag(np.diag(vectors))).any()
-    if not is_tilted:
-        ends = tuple((0.0, length) for length in np.diag(vectors).tolist())
-        return pyvoro2.OrthorhombicCell(ends, tuple((~lattice.open_axes).tolist()))
-    return pyvoro2.PeriodicCell(tuple(map(tuple, vectors.tolist())))
-
-
-@contextmanager
-def _collector_paused() -> Iterator[None]:
-    """Pause Python's garbage collector, which scans the lists of all cells again and again while they grow."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
-
-
-def _cells(place: NDArray, radius: NDArray, box: Any, source: str) -> list[dict[str, Any]]:
-    """Return the cells of particles in their order, with vertices and faces."""
-    import pyvoro2
-
-    if not len(place):
-        return []
-    try:
-        cells = pyvoro2.compute(
-            place,
-            domain=box,
-            mode="power",
-            radii=radius,
-            include_empty=True,
-            return_adjacency=False,
-            output="cells",
-        )
-    except ValueError as error:
-        raise SceneError(
-            f"{source}: no Voronoi cells of these particles, which are too close to each other or "
-            f"outside of the box; remove one of two at the same place ({error})"
-        ) from None
-    return sorted(cells, key=lambda cell: cell["id"])
+def _tree(
+    place: NDArray, radius: NDArray, vectors: NDArray, is_open: NDArray
+) -> tuple[NDArray, Tree]:
+    """Sort particles (n, 3), from the corner of a region, by halves; return the row of each in their order."""
+    inverse = np.linalg.inv(vectors)
+    place = place - np.where(is_open, 0.0, np.floor(place @ inverse)) @ vectors
+    order = np.arange(len(place))
+    depth = max(0, math.ceil(math.log2(max(1, len(place)) / _LEAF)))
+    boxes = []
+    for k in range(depth + 1):
+        starts = len(place) * np.arange(2**k + 1) // 2**k
+        sorted_place = place[order]
+        low = np.minimum.reduceat(sorted_place, starts[:-1])
+        high = np.maximum.reduceat(sorted_place, starts[:-1])
+        boxes.append((low, high, np.maximum.reduceat(radius[order], starts[:-1])))
+        # the next halves are those along the longest side
+        longest = (high - low).argmax(axis=1)
+        box = np.repeat(np.arange(2**k), np.diff(starts))
+        along = sorted_place[np.arange(len(place)), longest[box]]
+        if k < depth:
+            order = order[np.lexsort([along, box])]
+    low, high, largest = map(np.concatenate, zip(*boxes, strict=True))
+    lengths = np.linalg.norm(vectors, axis=1)
+    half = lengths / 2
+    if (vectors != np.diag(np.diag(vectors))).any():
+        half = np.full(3, lengths.sum() / 2)
+    return order, Tree(
+        np.column_stack([place, radius])[order],
+        low,
+        high,
+        largest,
+        vectors,
+        1 / np.linalg.norm(inverse, axis=0),
+        half,
+        is_open,
+    )
 
 
-def _faces_of(cells: Sequence[Mapping[str, Any]]) -> tuple[NDArray, NDArray, NDArray]:
-    """Return the rows of both particles (j < 0 at edges) and area vectors (n, 3) of all faces."""
-    faces = list(chain.from_iterable(cell["faces"] for cell in cells))
-    if not faces:
-        return np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3))
-    of_cell = np.cumsum([0, *(len(cell["vertices"]) for cell in cells)])
-    vertices = np.array(list(chain.from_iterable(cell["vertices"] for cell in cells)))
-    i = np.repeat(np.arange(len(cells)), [len(cell["faces"]) for cell in cells])
-    j = np.array([face["adjacent_cell"] for face in faces])
-    size = np.array([len(face["vertices"]) for face in faces])
-    start = np.cumsum(size) - size
-    corner = np.array(list(chain.from_iterable(face["vertices"] for face in faces)))
-    corner += np.repeat(of_cell[i], size)
-    following = np.arange(len(corner)) + 1
-    following[start + size - 1] = start
-    # triangles between the first corner of a face and each of its edges; Voro++ lists corners
-    # clockwise as seen from outside of the cell, which the centre of a small particle may be
-    away = vertices[corner] - np.repeat(vertices[corner[start]], size, axis=0)
-    return i, j, 0.5 * np.add.reduceat(np.cross(away[following], away), start)
+def _cells(tree: Tree, with_faces: bool, threads: int) -> tuple[Results, NDArray]:
+    """Return the cells of particles in the order of their tree, and their faces, if they are asked for."""
+    count = len(tree.particles)
+    results = Results(
+        np.zeros(count), np.zeros(count), np.zeros(count, int), np.zeros((count, 6), bool)
+    )
+
+    def add(first: int, last: int) -> list[NDArray]:
+        planes = _PLANES
+        parts = []
+        while first < last:
+            faces = np.empty((with_faces * (planes + _FACES_A_CELL * (last - first)), 5))
+            stop, found = add_cells(first, last, tree, Cell.of(planes), results, faces)
+            parts.append(faces[:found])
+            if stop == first:
+                planes *= 2
+            first = stop
+        return parts
+
+    parts = for_parts(count, add, threads_for(count, threads))
+    return results, np.concatenate([np.zeros((0, 5)), *chain.from_iterable(parts)])
