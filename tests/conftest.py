@@ -14,6 +14,8 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import dask
+
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.engines.mfix import Mfix
 
@@ -52,6 +54,27 @@ def computing():
         yield (
             lambda name: processes if name == "processes" else {"scheduler": name, "num_workers": 2}
         )
+
+
+@pytest.fixture(scope="session")
+def cluster():
+    """Cluster of two processes, without a client; it takes seconds to start, so tests share it."""
+    distributed = pytest.importorskip("distributed")
+    settings = {
+        "distributed.admin.system-monitor.gil.enabled": False,
+        "distributed.worker.memory.terminate": False,
+    }
+    with (
+        dask.config.set(settings),
+        distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=2,
+            processes=True,
+            dashboard_address=":0",
+            memory_limit=None,
+        ) as running,
+    ):
+        yield running
 
 
 @pytest.fixture

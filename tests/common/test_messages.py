@@ -139,12 +139,9 @@ def test_warnings_from_a_user_thread_point_at_its_line():
     assert line_of(said[0], "# the thread's own line")
 
 
-def test_warnings_of_workers_reach_the_client():
-    cluster = distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0"
-    )
+def test_warnings_of_workers_reach_the_client(cluster):
     f = without_box().chunk(time=1).cg.coarse_grain("density", axes="z", on_error="skip")
-    with cluster, distributed.Client(cluster), pytest.warns(SkippedStep, match="no finite extent"):
+    with distributed.Client(cluster), pytest.warns(SkippedStep, match="no finite extent"):
         f.compute()
 
 

@@ -78,11 +78,10 @@ def test_a_cluster_gives_the_same_bits_though_a_worker_is_killed(tmp_path, runni
     assert outputs(job) == whole
 
 
-def test_skipped_steps_on_a_cluster_keep_their_causes(tmp_path, running):
-    address, _ = running
+def test_skipped_steps_on_a_cluster_keep_their_causes(tmp_path, cluster):
     job = write_job(tmp_path)
     (tmp_path / "p.7.dump").write_text(dumps.dump_text(step=7).replace("1.9", "oops"))
-    job.write_text(f'on_error = "skip"\nscheduler = "{address}"\n{JOB}')
+    job.write_text(f'on_error = "skip"\nscheduler = "{cluster.scheduler_address}"\n{JOB}')
     assert "warning: step 7 is skipped:" in xcg_run("run", job)
     f = xr.load_dataset(tmp_path / "out" / "fields.nc")
     assert np.atleast_1d(f.attrs["skipped_steps"]).tolist() == [7]

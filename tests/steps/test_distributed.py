@@ -21,22 +21,8 @@ STEPS = 5
 
 
 @pytest.fixture(scope="module")
-def client():
-    settings = {
-        "distributed.admin.system-monitor.gil.enabled": False,
-        "distributed.worker.memory.terminate": False,
-    }
-    with (
-        dask.config.set(settings),
-        distributed.LocalCluster(
-            n_workers=2,
-            threads_per_worker=2,
-            processes=True,
-            dashboard_address=":0",
-            memory_limit=None,
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+def client(cluster):
+    with distributed.Client(cluster) as client:
         yield client
 
 
