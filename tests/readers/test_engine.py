@@ -12,7 +12,7 @@ import pytest
 
 import xcg
 from tests import ROOT
-from xcg.readers.engine import _OWN, Engine, StepRef, load_engine
+from xcg.readers.engine import _OWN, Engine, StepRef, engine_table, load_engine
 
 
 def test_engines_are_called_by_the_name_that_they_have_in_messages():
@@ -113,50 +113,37 @@ for options in ({"engine": "xcg"}, {"engine": "xcg", "reader": "grit", "chunks":
     assert run(code, site, tmp_path) == told.format(None) + told.format((1,)) + told.format(None)
 
 
-def test_an_engine_class_pickles(tmp_path, site):
+def test_an_engine_class_of_a_script_reaches_other_processes(tmp_path, site, computing):
     write_grit(tmp_path)
-    code = (
-        (site / "grit_tools.py").read_text()
-        + """
-import xarray as xr
-
-import dask
-
-import xcg
-from xcg.readers import Engine, StepRef
-both = [
-    xcg.open_scene("grains_*.txt", contacts="forces_*.txt", engine=engine, density=2500).contact_force.sum()
-    for engine in (Grit, Grit())
-]
-for total in dask.compute(*both, scheduler="processes", num_workers=1):
-    print(float(total))
-"""
-    )
-    (site / "grit_tools.py").unlink()  # the class is that of the script
-    assert run(code, tmp_path, tmp_path) == 2 * "-20.0\n"
+    script = {"__name__": "script"}  # no module that another process could import
+    exec((site / "grit_tools.py").read_text(), script)
+    for engine in (script["Grit"], script["Grit"]()):
+        ds = xcg.open_scene(
+            tmp_path / "grains_*.txt",
+            contacts=tmp_path / "forces_*.txt",
+            engine=engine,
+            density=2500,
+            chunks=1,
+        )
+        assert float(ds.contact_force.sum().compute(**computing("processes"))) == -20.0
 
 
-def test_a_broken_package_is_skipped_with_a_warning(tmp_path, site):
+def test_a_broken_package_is_skipped_with_a_warning(tmp_path, site, monkeypatch):
     write_grit(tmp_path)
     (site / "grit_tools.py").write_text("import nowhere_to_be_found")
-    code = """
-import warnings, xcg
-with warnings.catch_warnings(record=True) as caught:
-    warnings.simplefilter("always")
-    try:
-        xcg.open_scene("grains_0.txt")
-    except xcg.SceneError as error:
-        print(error)
-print(*(w.message for w in caught))
-"""
-    shown = run(code, site, tmp_path)
-    assert re.match(
-        r"no engine recognises grains_0.txt; .*xcg.scene_from_arrays .*docs/custom.md", shown
-    )
-    assert (
-        "the engine 'grit' (grit_tools:Grit) cannot be imported: No module named 'nowhere_to_be_found'"
-        in shown
-    )
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.setattr("xcg.readers.engine.engine_table", engine_table.__wrapped__)
+    with (
+        pytest.warns(
+            xcg.SceneWarning,
+            match=r"'grit' \(grit_tools:Grit\) cannot be imported: .* 'nowhere_to_be_found'",
+        ),
+        pytest.raises(
+            xcg.SceneError,
+            match=r"no engine recognises .*grains_0.txt; .*xcg.scene_from_arrays .*docs/custom.md",
+        ),
+    ):
+        xcg.open_scene(tmp_path / "grains_0.txt")
 
 
 def test_faulty_engines_are_named(tmp_path):
