@@ -2,7 +2,7 @@
 
 Run from the root of a clone, in the environment of the tests::
 
-    python -m tests.stops [--stops 200] [--kills 200]
+    python -m tests.stops [--stops 200] [--kills 200] [--vtkhdf steps]
 
 A run is *inconsistent* if an output with its final name is incomplete, if the same command does not
 complete all outputs, or if they differ from those of an undisturbed run. Stops are signals at random
@@ -53,6 +53,7 @@ bounds = [0.0, 9.0]
 folder = "out"
 vtkhdf = "{vtkhdf}"
 """
+IMAGES = ("temporal", "steps")
 _CHANGES = ("os.rename", "os.link", "os.remove", "os.rmdir", "os.mkdir")
 
 
@@ -252,10 +253,11 @@ def main() -> int:
     )
     parser.add_argument("--stops", type=int, default=200, help="signals at random moments")
     parser.add_argument("--kills", type=int, default=200, help="kills within the last step")
+    parser.add_argument("--vtkhdf", choices=IMAGES, help="kind of image files (both by default)")
     arguments = parser.parse_args()
     faults: list[str] = []
     rng = random.Random(0)
-    for vtkhdf in ("temporal", "steps"):
+    for vtkhdf in [arguments.vtkhdf] if arguments.vtkhdf else IMAGES:
         with tempfile.TemporaryDirectory() as folder:
             trials = Trials(Path(folder), vtkhdf)
             changes = trials.kill_at_each_change()

@@ -265,8 +265,8 @@ if {stop} > {steps}:
 """
 
 
-@pytest.mark.parametrize("stop", [1, 12])
-def test_ctrl_c_stops_a_run_and_keeps_finished_steps(job, stop):
+def test_ctrl_c_stops_a_run_and_keeps_finished_steps(job):
+    stop = 12
     process = start(job, "--jobs", "2", before=INTERRUPTED.format(stop=stop, steps=STEPS))
     said, _ = process.communicate(timeout=60)
     assert process.returncode == 130, said
@@ -289,8 +289,20 @@ def test_ctrl_c_waits_until_all_outputs_have_their_names(job):
 
 # with signals and kills at random moments too: python -m tests.stops
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks processes")
-def test_runs_killed_at_any_change_of_their_last_step_are_completed():
-    command = [sys.executable, "-m", "tests.stops", "--stops", "0", "--kills", "0"]
+# images of steps are files of their own, a temporal one is written by the same changes but one
+@pytest.mark.parametrize("images", ["steps", pytest.param("temporal", marks=pytest.mark.slow)])
+def test_runs_killed_at_any_change_of_their_last_step_are_completed(images):
+    command = [
+        sys.executable,
+        "-m",
+        "tests.stops",
+        "--stops",
+        "0",
+        "--kills",
+        "0",
+        "--vtkhdf",
+        images,
+    ]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "no inconsistent run" in done.stdout
