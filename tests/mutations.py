@@ -993,16 +993,13 @@ TABLE = [
 
 def files_of(names: list[str]) -> list[str]:
     """Return the ids of tests with these names, wherever they are; raise LookupError for unknown ones."""
-    texts = {path: path.read_text() for path in sorted((ROOT / "tests").rglob("test_*.py"))}
-    found = []
-    for name in names:
-        here = [
-            path for path, text in texts.items() if re.search(rf"^def {name}\(", text, re.MULTILINE)
-        ]
-        if not here:
-            raise LookupError(f"there is no test of the name {name}: was it renamed?")
-        found += [f"{path.relative_to(ROOT)}::{name}" for path in here]
-    return list(dict.fromkeys(found))
+    ids: dict[str, list[str]] = {}
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        for name in re.findall(r"^def (\w+)\(", path.read_text(), re.MULTILINE):
+            ids.setdefault(name, []).append(f"{path.relative_to(ROOT)}::{name}")
+    if unknown := [name for name in names if name not in ids]:
+        raise LookupError(f"there is no test of the name {unknown[0]}: was it renamed?")
+    return [test for name in dict.fromkeys(names) for test in ids[name]]
 
 
 def run_tests(folder: Path, ids: list[str], cache: Path) -> tuple[int, str]:

@@ -10,6 +10,7 @@ import runpy
 import pytest
 
 from tests import ROOT
+from tests.architecture import nodes_of_package
 
 
 def test_table_of_fields_is_current():
@@ -204,12 +205,12 @@ def test_words_of_warnings_on_their_page_are_those_of_the_package():
     observations = [line.split("|")[1] for line in rows.splitlines() if line.startswith("| ")]
     phrases = re.findall(r"\*([^*]+)\*", " ".join(observations))
     assert len(phrases) > 10
-    texts = []
-    for path in (ROOT / "xcg").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                texts.append(node.value)
-    known = "\n".join(texts)
+    known = "\n".join(
+        node.value
+        for nodes in nodes_of_package(".py").values()
+        for node in nodes
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
     assert [phrase for phrase in phrases if phrase not in known] == []
 
 

@@ -82,8 +82,7 @@ PLACES = [
 
 
 @pytest.mark.parametrize("places", PLACES)
-@pytest.mark.parametrize("lattice", [STRAIGHT, TILTED], ids=["straight", "tilted"])
-@pytest.mark.parametrize("form", ["text", "binary"])
+@pytest.mark.parametrize(("lattice", "form"), [(STRAIGHT, "binary"), (TILTED, "text")])
 def test_dumps_tell_motion_across_periods(tmp_path, monkeypatch, places, lattice, form):
     if lattice is TILTED:  # headers hold the bounding box
         monkeypatch.setattr("tests.lammps_forms.BOX", ((0, 14), (0, 10), (-1, 9)))
