@@ -642,7 +642,7 @@ TABLE = [
         "test_falls_to_interpolates_where_values_fall_below_a_level",
     ),
     Mutation(
-        "analysis/diffusion.py", "first_seen[rows[stay]] <= t - lag", "first_seen[rows[stay]] <= t",
+        "analysis/diffusion.py", "first_step[indices[stay]] <= t - lag", "first_step[indices[stay]] <= t",
         "test_grains_that_come_back_count_as_new",
     ),
     Mutation(
@@ -667,7 +667,7 @@ TABLE = [
         "test_the_mean_over_all_arrangements_is_the_random_limit",
     ),
     Mutation(
-        "analysis/network.py", "rows[0] <= rows[1], 1.0, -1.0", "rows[0] <= rows[1], -1.0, 1.0",
+        "analysis/network.py", "ends[0] <= ends[1], 1.0, -1.0", "ends[0] <= ends[1], -1.0, 1.0",
         "test_edges_are_sums_over_contacts",
     ),
     Mutation(
@@ -796,11 +796,11 @@ TABLE = [
         "test_parameters_are_within_two_errors_in_95_of_100_draws",
     ),
     Mutation(
-        "analysis/fit_law.py", "(2 * step[k])", "step[k]",
+        "analysis/fit_law.py", "(2 * change[k])", "change[k]",
         "test_the_band_of_a_line_is_that_of_its_formula",
     ),
     Mutation(
-        "analysis/derive.py", "np.bincount(row, age, len(ids)) / count", "np.bincount(row, age, len(ids))",
+        "analysis/derive.py", "np.bincount(index, age, len(ids)) / count", "np.bincount(index, age, len(ids))",
         "test_mean_ages_grow_with_time_while_contacts_last",
     ),
     Mutation(
@@ -808,7 +808,7 @@ TABLE = [
         "test_stress_and_pressure_are_those_of_particle_stress",
     ),
     Mutation(
-        "analysis/diffusion.py", "* velocity[rows[stay]]", "* velocity[: stay.sum()]",
+        "analysis/diffusion.py", "* velocity[indices[stay]]", "* velocity[: stay.sum()]",
         "test_velocity_autocorrelation_follows_grains_by_their_ids",
     ),
     Mutation(
@@ -820,7 +820,7 @@ TABLE = [
         "test_the_relative_error_is_that_of_the_ratio",
     ),
     Mutation(
-        "analysis/fit_law.py", "(2 * step)", "step", "test_errors_of_x_count_by_the_slope_of_the_law",
+        "analysis/fit_law.py", "(2 * dx)", "dx", "test_errors_of_x_count_by_the_slope_of_the_law",
     ),
     Mutation(
         "analysis/laws.py", "/ (h - first)) ** 1.5", "/ (h - first)) ** 0.5",

@@ -22,7 +22,7 @@ OF_PHASES = ("interphase_force", "segregation_flux")  # what phases have besides
 
 def _derivative(field: xr.DataArray, axis: str, *, wraps: bool) -> xr.DataArray:
     """Central difference of fourth order; NaN at the two nodes next to an end, unless the axis wraps."""
-    step = float(field[axis][1] - field[axis][0])
+    spacing = float(field[axis][1] - field[axis][0])
     nodes = field.sizes[axis]
     how: Any = {"constant_values": np.nan}
     if wraps:
@@ -30,7 +30,7 @@ def _derivative(field: xr.DataArray, axis: str, *, wraps: bool) -> xr.DataArray:
     wide = field.drop_vars(axis).pad({axis: 2}, **how)
     near = wide.isel({axis: slice(3, nodes + 3)}) - wide.isel({axis: slice(1, nodes + 1)})
     far = wide.isel({axis: slice(4, nodes + 4)}) - wide.isel({axis: slice(0, nodes)})
-    return ((8 * near - far) / (12 * step)).assign_coords({axis: field[axis]})
+    return ((8 * near - far) / (12 * spacing)).assign_coords({axis: field[axis]})
 
 
 @dataclass(frozen=True)
@@ -288,9 +288,13 @@ def balance(scene: Scene, request: BalanceRequest) -> xr.Dataset:
         text = f"{law.long_name}, relative to its largest term"
         out[name] = residual.assign_attrs(units=units, long_name=law.long_name)
         out[f"{name}_norm"] = norm.assign_attrs(units="1", long_name=text)
-    known = {name: c for residual in out.values() for name, c in residual.coords.items()}
+    coords_of_terms = {name: c for residual in out.values() for name, c in residual.coords.items()}
     # in the order of the fields
-    coords = {name: known[name].variable for name in (*f.coords, "interval") if name in known}
+    coords = {
+        name: coords_of_terms[name].variable
+        for name in (*f.coords, "interval")
+        if name in coords_of_terms
+    }
     return xr.Dataset(
         {name: residual.variable for name, residual in out.items()},
         coords,

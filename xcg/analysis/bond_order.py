@@ -149,30 +149,31 @@ class BondOrder(FrameAnalysis):
         check_finite("position", frame, source)
         axes = self.setup.axes
         position = np.where(np.isin(np.arange(3), axes), frame["position"], 0.0)
-        row, bond = self._bonds(position, lattice, source)
+        particle, bond = self._bonds(position, lattice, source)
         bond = bond[:, axes]
         if (is_zero := ~bond.any(axis=1)).any():
-            where = frame["particle_id"][row[is_zero.argmax()]]
+            where = frame["particle_id"][particle[is_zero.argmax()]]
             raise SceneError(
                 f"{source}: particle {where} has a neighbour at its own place, in a direction that "
                 "is not known; remove one of them"
             )
         count = len(position)
-        numbers = np.bincount(row, minlength=count)
+        numbers = np.bincount(particle, minlength=count)
         results: Frame = {"particle_id": frame["particle_id"]}
         letter = self._letter
         for n in self.degrees or ():
             sums = np.array(
                 [
-                    np.bincount(row, wave.real, count) + 1j * np.bincount(row, wave.imag, count)
+                    np.bincount(particle, wave.real, count)
+                    + 1j * np.bincount(particle, wave.imag, count)
                     for wave in _waves(n, bond)
                 ]
             )
             means = np.full(sums.shape, np.nan, complex)
             np.divide(sums, numbers, out=means, where=numbers > 0)
             whole = np.full(len(sums), np.nan, complex)
-            if len(row):
-                whole = sums.sum(axis=1) / len(row)
+            if len(particle):
+                whole = sums.sum(axis=1) / len(particle)
             results[f"{letter}{n}"] = _length(means)
             results[f"global_{letter}{n}"] = _length(whole)
             if letter == "psi":
@@ -219,8 +220,8 @@ class BondOrder(FrameAnalysis):
             reach = min(float(alone.max()), half)
         low = position.min(axis=0) - reach
         high = position.max(axis=0) + reach
-        rows, shift, _ = lattice.images(position, low, high, source)
-        images = position[rows] + shift
+        originals, shift, _ = lattice.images(position, low, high, source)
+        images = position[originals] + shift
         nearest: Any = cKDTree(images).query(position, count + 1)
         distance, near = nearest
         if len(lattice.basis) and distance.max() > reach:
@@ -229,7 +230,7 @@ class BondOrder(FrameAnalysis):
                 f"the nearest image ({half:g} m); take fewer neighbours"
             )
         original = np.flatnonzero(~shift.any(axis=1))
-        itself = original[np.argsort(rows[original])]
+        itself = original[np.argsort(originals[original])]
         is_itself = near == itself[:, None]
         # particles at the same place may push the particle itself out of the list
         is_itself[~is_itself.any(axis=1), -1] = True

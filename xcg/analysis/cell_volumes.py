@@ -199,15 +199,15 @@ class _CellShares(PhaseAnalysis):
         of_spheres = np.pi / 6 * diameter**3
         if self.setup.dimension == 2 and not np.allclose(volume, of_spheres, _SPHERE, atol=0.0):
             (across,) = {0, 1, 2} - set(self.setup.axes)
-        step = np.array([cells.spacing.get(a, np.inf) for a in COMPONENTS])
-        reach = diameter.max(initial=0.0) // step + 3.0
+        size = np.array([cells.spacing.get(a, np.inf) for a in COMPONENTS])
+        reach = diameter.max(initial=0.0) // size + 3.0
         out = np.zeros((self.phase_count, *cells.shape, _COLUMNS))
         add_shares(
             np.ascontiguousarray(position),
             radius,
             values,
             phase,
-            Cells(cells.lower, step, np.array(cells.shape), lattice.period),
+            Cells(cells.lower, size, np.array(cells.shape), lattice.period),
             across,
             np.empty(int((reach + 1).prod())),
             out,

@@ -142,7 +142,7 @@ def summary_of_chains(fc: xr.Dataset) -> Summary:
     options = ("alpha", "min_length", "algorithm")
     rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in options if name in fc.attrs)
     kinds = (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS))
-    held = [(what, ", ".join(name for name in rows if name in fc)) for what, rows in kinds]
+    held = [(what, ", ".join(name for name in table if name in fc)) for what, table in kinds]
     return Summary.of(
         f"force chains of {sizes} (largest step)", [("rule", rule), *held, *rows_of_origin(fc)]
     )
@@ -188,13 +188,13 @@ def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[ChainStep]:
         step = chunk.isel(time=0)
         arrays = {name: step[name].transpose(*dims[name]).to_numpy() for name in dims}
         box = {name: arrays.pop(name) for name in of_box}
-        rows = {
+        kept = {
             "particle": particle_rows(arrays["particle_id"]),
             "contact": arrays["contact_i"] != PADDING,
         }
         for name in names:
-            if dims[name][0] in rows:
-                arrays[name] = arrays[name][rows[dims[name][0]]]
+            if dims[name][0] in kept:
+                arrays[name] = arrays[name][kept[dims[name][0]]]
         number = int(step.coords.get("step", t))
         lattice = Lattice.of(box, fc.attrs.get("periodic", ""), f"step {number}")
         yield ChainStep(arrays, float(step.coords.get("time", 0.0)), number, lattice)

@@ -111,10 +111,10 @@ class _Moving(Region):
         position = frame["position"]
         offset = np.asarray(self.velocity) * time
         if self.follow is not None:
-            row = np.flatnonzero(frame["particle_id"] == self.follow)
-            if not row.size:
+            index = np.flatnonzero(frame["particle_id"] == self.follow)
+            if not index.size:
                 return np.zeros(len(position), bool)
-            offset = position[row[0]]
+            offset = position[index[0]]
         return self._holds(position, offset, lattice)
 
     def _holds(self, position: NDArray, offset: NDArray, lattice: Lattice) -> NDArray:
@@ -164,8 +164,8 @@ class BoxRegion(_Moving):
         middle[bounded] = 0.5 * (lower[bounded] + upper[bounded])
         away = position - (offset + middle)
         if lattice.vectors is not None:  # the image inside need not be the shortest
-            seen = lattice.seen(bounded, "region")
-            inside, _, _ = seen.images(away, lower - middle, upper - middle)
+            of_region = lattice.seen(bounded, "region")
+            inside, _, _ = of_region.images(away, lower - middle, upper - middle)
             return np.bincount(inside, minlength=len(away)) > 0
         away = np.where(bounded, lattice.shortest(away), away)
         return np.asarray(((away >= lower - middle) & (away <= upper - middle)).all(axis=1))

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 WIDTHS = tuple(f"{0.5 * 2 ** (k / 2):.4g} d43" for k in range(7))
 KNOWN = 0.9  # share of the particles at nodes where a field is known, least
-STEPS = 240  # between the widths, where bias and noise are interpolated as powers of the width
-ENDS = {0: "the narrowest of those compared", STEPS: "the widest of those compared"}
+INTERVALS = 240  # between the widths, where bias and noise are interpolated as powers of the width
+ENDS = {0: "the narrowest of those compared", INTERVALS: "the widest of those compared"}
 _COUNT = "number_density"
 
 
@@ -133,14 +133,16 @@ def choose_width(scene: Scene, request: ChoiceRequest) -> xr.Dataset:
         raise ValueError(
             f"widths={list(request.widths)!r}: expected three or more different widths"
         )
-    rows = np.unique(np.linspace(0, count - 1, min(count, int(request.sample))).round().astype(int))
-    sampled = Scene(scene.ds.isel(time=rows, missing_dims="ignore"))
-    mean, names, seen = _averages(sampled, request, widths)
+    sample = np.unique(
+        np.linspace(0, count - 1, min(count, int(request.sample))).round().astype(int)
+    )
+    sampled = Scene(scene.ds.isel(time=sample, missing_dims="ignore"))
+    mean, names, dimensions = _averages(sampled, request, widths)
     frames = request.frames or count
     errors: dict[str, NDArray] = {}
     for name in names:
-        bias, noise = _bias_and_noise(mean, name, seen)
-        noise = noise * math.sqrt(len(rows))
+        bias, noise = _bias_and_noise(mean, name, dimensions)
+        noise = noise * math.sqrt(len(sample))
         errors[f"{name}_bias"] = bias
         errors[f"{name}_noise"] = noise
         errors[f"{name}_total"] = np.hypot(bias, noise / frames**0.5)
@@ -150,7 +152,7 @@ def choose_width(scene: Scene, request: ChoiceRequest) -> xr.Dataset:
     out = xr.Dataset(
         {name: ("width", values, about[name]) for name, values in errors.items()},
         {"width": mean["width"]},
-        {"frames": frames, "sampled_frames": len(rows), "target": request.target},
+        {"frames": frames, "sampled_frames": len(sample), "target": request.target},
     )
     kernel = kernel_of(request.kernel, widths[0], {}, scene.setup.dimension)
     return out.assign(_choice(out, names, kernel))
@@ -189,27 +191,27 @@ def _averages(
     return time_average(f).assign_coords(width=f["width"]), names, len(axes) + len(at)
 
 
-def _bias_and_noise(mean: xr.Dataset, name: str, seen: int) -> tuple[NDArray, NDArray]:
+def _bias_and_noise(mean: xr.Dataset, name: str, dimensions: int) -> tuple[NDArray, NDArray]:
     """Bias and noise of an average at each width, relative to the size of the field."""
     field = mean[name]
     error = mean[f"{name}_error"]
     widths = mean["width"].to_numpy()
     parts = [dim for dim in ("component", "direction", "other_phase") if dim in field.dims]
     count = mean[_COUNT].isel(width=len(widths) // 2, drop=True)
-    places = list(count.dims)
+    node_dims = list(count.dims)
 
     def mean_square(values: xr.DataArray) -> NDArray:
         squares = (values**2).sum(parts, skipna=False)
-        known = count.where(squares.notnull(), 0.0)
-        particles = known.sum(places)
+        counted = count.where(squares.notnull(), 0.0)
+        particles = counted.sum(node_dims)
         enough = particles.where(particles >= KNOWN * count.sum())
-        return ((squares * known).sum(places) / enough).transpose("width").to_numpy()
+        return ((squares * counted).sum(node_dims) / enough).transpose("width").to_numpy()
 
     noise = mean_square(error)
     change = mean_square(field.diff("width", label="lower"))
     # less the noise of the difference: of Gaussians, the noise at two widths is correlated by this
     correlation = (2 * widths[1:] * widths[:-1] / (widths[1:] ** 2 + widths[:-1] ** 2)) ** (
-        seen / 2
+        dimensions / 2
     )
     change -= noise[1:] + noise[:-1] - 2 * correlation * np.sqrt(noise[1:] * noise[:-1])
     bias = _integrate(np.fmin.accumulate(np.clip(change, 0.0, None)[::-1])[::-1] ** 0.5, widths)
@@ -224,11 +226,11 @@ def _integrate(change: NDArray, widths: NDArray) -> NDArray:
     The power is 2 where fields are smooth, 1 or less where they end or jump; ``change_k = c
     (w_k+1^p - w_k^p)``.
     """
-    known = change > 0
+    rises = change > 0
     power = 2.0
-    if known.sum() > 1:
+    if rises.sum() > 1:
         powers = np.linspace(0.3, 2.0, 86)
-        power = min(powers, key=lambda p: np.var(np.log(change[known] / np.diff(widths**p)[known])))
+        power = min(powers, key=lambda p: np.var(np.log(change[rises] / np.diff(widths**p)[rises])))
     level = change / np.diff(widths**power)
     return np.append(level, level[-1]) * widths**power
 
@@ -238,7 +240,7 @@ def _choice(errors: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[st
     frames = errors.attrs["frames"]
     target = errors.attrs["target"]
     widths = errors["width"].to_numpy()
-    fine = np.geomspace(widths[0], widths[-1], STEPS + 1)
+    fine = np.geomspace(widths[0], widths[-1], INTERVALS + 1)
 
     def between(name: str) -> NDArray:
         values = np.maximum(errors[name].to_numpy(), 1e-9)

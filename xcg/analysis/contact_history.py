@@ -137,10 +137,10 @@ def contact_history(scene: Scene, lags: int | Sequence[int] | None = None) -> xr
             arrays["losses"][t] = is_lost.sum()
             born = before.first[is_lost & (before.first > 0)]
             lifetimes.append(times[t - 1 : t + 1].mean() - (times[born - 1] + times[born]) / 2)
-        rows = padded["contact_i"][0] != PADDING
-        arrays["contact_age"][t, rows] = times[t] - times[now.first]
-        arrays["contact_turned"][t, rows] = _angle(now.normal, now.first_normal)
-        arrays["contact_turning_rate"][t, rows] = rate
+        is_contact = padded["contact_i"][0] != PADDING
+        arrays["contact_age"][t, is_contact] = times[t] - times[now.first]
+        arrays["contact_turned"][t, is_contact] = _angle(now.normal, now.first_normal)
+        arrays["contact_turning_rate"][t, is_contact] = rate
         arrays["contact_count"][t] = len(rate)
         for k, lag in enumerate(chosen):
             if lag <= t:
@@ -218,7 +218,7 @@ class _Touching:
     first_normal: NDArray
 
     @classmethod
-    def of(cls, frame: Frame, lattice: Lattice, source: str, step: int) -> _Touching:
+    def of(cls, frame: Frame, lattice: Lattice, source: str, t: int) -> _Touching:
         """Return the contacts of a frame, all of them first seen in it."""
         contacts = Contacts.of(frame, lattice, source)
         low = np.minimum(contacts.key_i, contacts.key_j)
@@ -226,7 +226,7 @@ class _Touching:
         sign = np.where(contacts.key_i == low, 1.0, -1.0)[:, None]
         normal = sign * contacts.normal
         pairs = pd.DataFrame({"low": low, "high": high, "row": np.arange(len(low))})
-        return cls(pairs, sign * contacts.between, normal, np.full(len(low), step), normal.copy())
+        return cls(pairs, sign * contacts.between, normal, np.full(len(low), t), normal.copy())
 
     def continued(self, before: _Touching, lattice: Lattice) -> tuple[NDArray, NDArray]:
         """Return the rows of contacts that were there in the step before, and their rows in it.

@@ -132,12 +132,12 @@ def _sums_over_pairs(
     wraps = {}
     lags = {}
     for axis in axes:
-        step = evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}")
-        extent = step * f.sizes[axis]
+        apart = evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}")
+        extent = apart * f.sizes[axis]
         whole_period = np.isclose(f[axis].attrs.get("period", extent), extent, atol=0.0)
-        spacing[axis] = step
+        spacing[axis] = apart
         wraps[axis] = axis in str(f.attrs["wrapped_axes"]) and bool(whole_period)
-        lag = step * _lags(a.sizes[axis], wraps[axis])
+        lag = apart * _lags(a.sizes[axis], wraps[axis])
         dim = f"lag_{axis}"
         lags[dim] = annotated(dim, lag, length, f"distance along {axis}")
     tail = [dim for dim in _TAIL if dim in a.dims]
@@ -213,15 +213,15 @@ def time_correlation(f: xr.Dataset, field: str, max_lag: int | None = None) -> x
     if values.chunks is not None:
         values = values.chunk({"time": -1} | dict.fromkeys(nodes, "auto"))
     deviation = values - values.mean("time")
-    known = deviation.notnull().all(tail)
-    deviation = deviation.where(known, 0.0)
+    exists = deviation.notnull().all(tail)
+    deviation = deviation.where(exists, 0.0)
     at_nodes = []
     by_time = []
     for lag in range(last + 1):
         now = {"time": slice(0, steps - lag)}
         then = {"time": slice(lag, None)}
         products = (deviation.isel(now) * deviation.isel(then)).sum(tail)
-        pairs = (known.isel(now) & known.isel(then)).astype(float)
+        pairs = (exists.isel(now) & exists.isel(then)).astype(float)
         sums = xr.Dataset({"products": products, "pairs": pairs})
         at_nodes.append(sums.sum("time"))
         # the last steps have no partner
@@ -287,37 +287,37 @@ def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple
     axes = tuple(range(-len(wraps), 0))
     nodes = a.shape[: a.ndim - rank][-len(wraps) :]
     padded: list[int] = []
-    places: list[NDArray] = []  # of the lags in an inverse transform
+    indices: list[NDArray] = []  # of the lags in an inverse transform
     for count, wrapped in zip(nodes, wraps, strict=True):
         size = count
         if not wrapped:
             size = fft.next_fast_len(2 * count - 1)
         padded.append(size)
-        places.append(_lags(count, wrapped) % size)
+        indices.append(_lags(count, wrapped) % size)
 
     def transforms(field: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """Return transforms of deviation and known nodes, the sum of squares, the node count."""
         flat = np.moveaxis(field.reshape(*field.shape[: field.ndim - rank], -1), -1, 0)
-        known = np.isfinite(flat).all(axis=0)
-        count = known.sum(axis=axes, keepdims=True)
-        mean = np.where(known, flat, 0.0).sum(axis=axes, keepdims=True) / np.maximum(count, 1)
-        deviation = np.where(known, flat - mean, 0.0)
+        exists = np.isfinite(flat).all(axis=0)
+        count = exists.sum(axis=axes, keepdims=True)
+        mean = np.where(exists, flat, 0.0).sum(axis=axes, keepdims=True) / np.maximum(count, 1)
+        deviation = np.where(exists, flat - mean, 0.0)
         return (
             fft.rfftn(deviation, padded, axes),
-            fft.rfftn(known.astype(float), padded, axes),
+            fft.rfftn(exists.astype(float), padded, axes),
             (deviation**2).sum(axis=(0, *axes)),
             count.reshape(count.shape[: -len(wraps)]).astype(float),
         )
 
     def at_lags(one: NDArray, other: NDArray) -> NDArray:
         """Return the correlation of two transformed arrays."""
-        index: Any = np.ix_(*places)
+        index: Any = np.ix_(*indices)
         return fft.irfftn(one.conj() * other, padded, axes)[(..., *index)]
 
-    deviation_a, known_a, square_a, count_a = transforms(a)
-    deviation_b, known_b, square_b, count_b = transforms(b)
+    deviation_a, exists_a, square_a, count_a = transforms(a)
+    deviation_b, exists_b, square_b, count_b = transforms(b)
     products = at_lags(deviation_a, deviation_b).sum(axis=0)
-    pairs = np.rint(at_lags(known_a, known_b))
+    pairs = np.rint(at_lags(exists_a, exists_b))
     return products, pairs, square_a, count_a, square_b, count_b
 
 

@@ -155,12 +155,12 @@ class _MeanAge(FrameAnalysis):
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
         """Average the ages over the contacts of each particle, from both sides."""
         ids = frame["particle_id"]
-        row = np.concatenate([rows_of(ids, frame[side]) for side in ("contact_i", "contact_j")])
-        age = np.tile(frame["contact_age"], 2)[row >= 0]
-        row = row[row >= 0]
-        count = np.bincount(row, minlength=len(ids))
+        index = np.concatenate([rows_of(ids, frame[side]) for side in ("contact_i", "contact_j")])
+        age = np.tile(frame["contact_age"], 2)[index >= 0]
+        index = index[index >= 0]
+        count = np.bincount(index, minlength=len(ids))
         with np.errstate(invalid="ignore"):
-            return {"mean_contact_age": np.bincount(row, age, len(ids)) / count}
+            return {"mean_contact_age": np.bincount(index, age, len(ids)) / count}
 
 
 def _coordination(ds: xr.Dataset) -> xr.Dataset:

@@ -77,13 +77,14 @@ def derive_director(
     a = axis_vector("axis", axis)
     w, x, y, z = (ds[name].drop_attrs(deep=False) for name in names)
     size = w * w + x * x + y * y + z * z
-    rows = (
+    rotation = (
         ((w * w + x * x - y * y - z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), (w * w - x * x + y * y - z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), (w * w - x * x - y * y + z * z)),
     )
     parts = [
-        sum(entry * float(part) for entry, part in zip(row, a, strict=True)) / size for row in rows
+        sum(entry * float(part) for entry, part in zip(line, a, strict=True)) / size
+        for line in rotation
     ]
     director = _vector(parts).assign_attrs(units="1", long_name="director of the grain")
     ds = ds.assign(director=director)
@@ -91,7 +92,7 @@ def derive_director(
         return ds
     spin = ds["angular_velocity"]
     omega = [spin.sel(component=c, drop=True).drop_attrs(deep=False) for c in COMPONENTS]
-    along = [sum(rows[k][c] * omega[k] for k in range(3)) / size for c in range(3)]
+    along = [sum(rotation[k][c] * omega[k] for k in range(3)) / size for c in range(3)]
     about = {"units": spin.attrs.get("units", "s^-1"), "long_name": "angular velocity, body axes"}
     return ds.assign(body_angular_velocity=_vector(along).assign_attrs(about))
 
@@ -255,10 +256,10 @@ class _Velocity(FrameAnalysis):
             if other is None:  # before the first step, or after the last
                 continue
             other_frame, other_lattice, _ = other
-            row = rows_of(other_frame["particle_id"], frame["particle_id"])
-            stays = np.flatnonzero(row >= 0)
+            index = rows_of(other_frame["particle_id"], frame["particle_id"])
+            stays = np.flatnonzero(index >= 0)
             motion = BoxMotion.between(lattice, other_lattice)
-            moved = motion.relative(frame, other_frame, stays, row[stays])
+            moved = motion.relative(frame, other_frame, stays, index[stays])
             motion.warn_of_jumps(moved, frame, lattice, source, "velocities")
             moved += motion.shift + position[stays] @ motion.gradient.T
             apart = float(other_frame["time"] - frame["time"])

@@ -128,8 +128,8 @@ def mean_squared_displacement(
     interval = evenly_spaced(ds["time"].to_numpy(), "times")
     at = interval * np.array(chosen)
     used = _range(fit, at)
-    known = scene.groups(by, groups)
-    sums, counts = _sums(ds, chosen, by, known, remove_drift)
+    groups = scene.groups(by, groups)
+    sums, counts = _sums(ds, chosen, by, groups, remove_drift)
     dims = ("first", "lag", "phase")
     samples = xr.Dataset(
         {"sum": ((*dims, *_TENSOR), sums), "count": (dims, counts)},
@@ -178,7 +178,7 @@ def mean_squared_displacement(
     }
     result = xr.Dataset(data, attrs=provenance(ds, call)).assign_coords(coords)
     if by is not None:
-        result = result.assign_coords(phase=phases_of(by, known))
+        result = result.assign_coords(phase=phases_of(by, groups))
     return with_phase_labels(result)
 
 
@@ -250,9 +250,9 @@ def velocity_autocorrelation(
             if lag > t:
                 continue
             old_ids, old_velocity = recent[-1 - lag]
-            rows = rows_of(ids, old_ids)
-            stay = rows >= 0
-            products = (old_velocity[stay] * velocity[rows[stay]]).sum()
+            indices = rows_of(ids, old_ids)
+            stay = indices >= 0
+            products = (old_velocity[stay] * velocity[indices[stay]]).sum()
             sums[t - lag, k] = products, (old_velocity[stay] ** 2).sum(), stay.sum()
     samples = xr.Dataset(
         {name: (("first", "lag"), sums[..., n]) for n, name in enumerate(("sum", "size", "count"))},
@@ -342,18 +342,18 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Places:
+class _Displaced:
     """Displacements (n, 3) of the grains of one step since each was first seen, with ids and phases."""
 
     ids: NDArray
-    place: NDArray
-    first_seen: NDArray
+    displacement: NDArray
+    first_step: NDArray
     phase: NDArray
 
 
-def _ways(
-    ds: xr.Dataset, by: str | None, known: Sequence[int], remove_drift: bool
-) -> Iterator[_Places]:
+def _displacements(
+    ds: xr.Dataset, by: str | None, groups: Sequence[int], remove_drift: bool
+) -> Iterator[_Displaced]:
     """Follow the grains from step to step."""
     read = ("particle_id", "position", *MOTION, "frozen", str(by), *OF_STEP)
     names = [name for name in read if name in ds]
@@ -365,44 +365,48 @@ def _ways(
         frame = without_frozen(frame)
         ids = frame["particle_id"]
         position = frame["position"]
-        place = np.zeros_like(position)
-        seen = np.full(len(ids), t)
+        displacement = np.zeros_like(position)
+        first_step = np.full(len(ids), t)
         if before is not None:
             old, old_frame, old_lattice, old_source = before
-            rows = partners(old_frame, frame, (old_source, source))
-            stay = np.flatnonzero(rows >= 0)
-            rows = rows[stay]
+            indices = partners(old_frame, frame, (old_source, source))
+            stay = np.flatnonzero(indices >= 0)
+            indices = indices[stay]
             motion = BoxMotion.between(old_lattice, lattice)
-            moved = motion.relative(old_frame, frame, stay, rows)
+            moved = motion.relative(old_frame, frame, stay, indices)
             motion.warn_of_jumps(moved, old_frame, old_lattice, old_source, "displacements")
             if remove_drift and len(moved):
                 moved -= moved.mean(axis=0)
-            place[rows] = old.place[stay] + moved
-            seen[rows] = old.first_seen[stay]
-        now = _Places(ids, place, seen, phase_of(frame, by, known, source))
+            displacement[indices] = old.displacement[stay] + moved
+            first_step[indices] = old.first_step[stay]
+        now = _Displaced(ids, displacement, first_step, phase_of(frame, by, groups, source))
         yield now
         before = now, frame, lattice, source
 
 
 def _sums(
-    ds: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int], remove_drift: bool
+    ds: xr.Dataset,
+    lags: Sequence[int],
+    by: str | None,
+    groups: Sequence[int],
+    remove_drift: bool,
 ) -> tuple[NDArray, NDArray]:
     """Sum u u, and count grains, by first step of the pair, lag and phase, all of them first."""
     steps = ds.sizes["time"]
-    phases = max(1, len(known))
+    phases = max(1, len(groups))
     sums = np.zeros((steps, len(lags), phases, 3, 3))
     counts = np.zeros((steps, len(lags), phases))
-    recent: deque[_Places] = deque(maxlen=lags[-1] + 1)
-    for t, now in enumerate(_ways(ds, by, known, remove_drift)):
+    recent: deque[_Displaced] = deque(maxlen=lags[-1] + 1)
+    for t, now in enumerate(_displacements(ds, by, groups, remove_drift)):
         recent.append(now)
         for k, lag in enumerate(lags):
             if lag > t:
                 continue
             then = recent[-1 - lag]
-            rows = rows_of(now.ids, then.ids)
-            stay = rows >= 0
-            stay[stay] = now.first_seen[rows[stay]] <= t - lag
-            moved = now.place[rows[stay]] - then.place[stay]
+            indices = rows_of(now.ids, then.ids)
+            stay = indices >= 0
+            stay[stay] = now.first_step[indices[stay]] <= t - lag
+            moved = now.displacement[indices[stay]] - then.displacement[stay]
             for phase in range(phases):
                 of_phase = moved[then.phase[stay] == phase]
                 sums[t - lag, k, phase] = of_phase.T @ of_phase

@@ -250,10 +250,13 @@ def _fields(
     ds: xr.Dataset, fields: str | Sequence[str] | None, *, accumulate: bool
 ) -> tuple[str, ...]:
     """Return the names of the fields that are asked for; raise ValueError for one that is not known."""
-    known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
-    timed = [name for name in known if "interval" in registry.FIELDS[name].moments]
+    available = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
+    timed = [name for name in available if "interval" in registry.FIELDS[name].moments]
     if fields is None:
-        names = ["sample_count", *(name for name in known if registry.FIELDS[name].default)]
+        names = [
+            "sample_count",
+            *(name for name in available if registry.FIELDS[name].default),
+        ]
         if not times_are_known(ds):
             names = [name for name in names if name not in timed]
     elif isinstance(fields, str):
@@ -265,12 +268,14 @@ def _fields(
             f"fields={fields!r}: expected at least one; leave it out for all of displacements"
         )
     for name in names:
-        if name not in (*known, *BESIDE):
-            raise ValueError(unknown("field of displacements", name, (*known, *BESIDE)))
+        if name not in (*available, *BESIDE):
+            raise ValueError(unknown("field of displacements", name, (*available, *BESIDE)))
         if name in timed:
             require_known_times(ds, f"displacement({name!r})")
     if accumulate:
-        total = [name for name in known if _TOTAL in registry.rows_of((name,), registry.Options())]
+        total = [
+            name for name in available if _TOTAL in registry.rows_of((name,), registry.Options())
+        ]
         if fields is None:
             names = total
         wrong = [name for name in names if name not in total]
@@ -330,17 +335,17 @@ class _Displacements(FrameAnalysis):
             return nothing | {"left": 0, "entered": 0}
         frame, lattice, source = now
         later_frame, later_lattice, later_source = later
-        rows = partners(frame, later_frame, (source, later_source))
-        stays = np.flatnonzero(rows >= 0)
+        indices = partners(frame, later_frame, (source, later_source))
+        stays = np.flatnonzero(indices >= 0)
         motion = BoxMotion.between(lattice, later_lattice)
         of_both = {name: values[stays] for name, values in frame.items() if np.ndim(values)}
-        moved = motion.relative(frame, later_frame, stays, rows[stays])
+        moved = motion.relative(frame, later_frame, stays, indices[stays])
         motion.warn_of_jumps(moved, frame, lattice, source, "displacements")
         of_both["velocity"] = moved
         of_both["interval"] = np.full(len(stays), later_frame["time"] - frame["time"])
         fields = replace(self.fields, threads=self.threads).frame(of_both, lattice, source)
         return fields | {
-            "left": len(rows) - len(stays),
+            "left": len(indices) - len(stays),
             "entered": len(later_frame["position"]) - len(stays),
             "box_gradient": motion.gradient,
             "box_shift": motion.shift,
@@ -395,23 +400,25 @@ def _with_box(f: xr.Dataset, ds: xr.Dataset) -> dict[str, xr.DataArray]:
         imposed = f["box_shift"]
         for a in ds.attrs["periodic"]:
             if a in f.coords:
-                place = f[a] + f["centre_offset"].sel(component=a, drop=True)
+                centre = f[a] + f["centre_offset"].sel(component=a, drop=True)
             else:  # the middle of the box stands for all grains along an averaged axis
-                place = middle.sel(component=a, drop=True)
-            imposed = imposed + gradient.sel(direction=a, drop=True) * place
+                centre = middle.sel(component=a, drop=True)
+            imposed = imposed + gradient.sel(direction=a, drop=True) * centre
         fields["displacement"] = (f["displacement"] + imposed).transpose(*f["displacement"].dims)
     return fields
 
 
-def _composed(steps: xr.DataArray) -> xr.DataArray:
+def _composed(gradients: xr.DataArray) -> xr.DataArray:
     """Return the products F_n ... F_2 F_1 of tensors along time, chunk after chunk."""
-    steps = steps.transpose("time", ..., "component", "direction")
-    if steps.chunks is None:
-        return steps.copy(data=_products(steps.data, axis=0))
+    gradients = gradients.transpose("time", ..., "component", "direction")
+    if gradients.chunks is None:
+        return gradients.copy(data=_products(gradients.data, axis=0))
     from dask.array.reductions import cumreduction  # slow to import
 
-    whole = cumreduction(_products, lambda before, now: now @ before, np.eye(3), steps.data, axis=0)
-    return steps.copy(data=whole)
+    whole = cumreduction(
+        _products, lambda before, now: now @ before, np.eye(3), gradients.data, axis=0
+    )
+    return gradients.copy(data=whole)
 
 
 def _products(tensors: NDArray, axis: int = 0, **_: Any) -> NDArray:

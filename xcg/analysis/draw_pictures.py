@@ -15,7 +15,7 @@ from xcg.analysis.compare import ERROR
 from xcg.analysis.picture import (
     ARROW,
     CIRCLE,
-    PLACES,
+    TITLED,
     UNROLLED,
     Shading,
     axes_of,
@@ -154,15 +154,15 @@ class Frames:
         error = picture.get(f"{self.name}{ERROR}")
         others = [dim for dim in value.dims if dim != axis]
         for labels in product(*(value[dim].to_numpy() for dim in others)):
-            place = dict(zip(others, labels, strict=True))
-            y = value.sel(place).to_numpy()
+            selection = dict(zip(others, labels, strict=True))
+            y = value.sel(selection).to_numpy()
             points = [nodes, y]
             if upright:
                 points.reverse()
             label = ", ".join(map(str, labels)) or None
             (line,) = ax.plot(*points, **{"label": label, **self.keywords})
             if error is not None:
-                e = error.sel(place).to_numpy()
+                e = error.sel(selection).to_numpy()
                 fill(nodes, y - e, y + e, color=line.get_color(), alpha=0.25, lw=0)
         for name, of_axis in zip(names, (ax.xaxis, ax.yaxis), strict=True):
             drawing.set_label(of_axis, drawing.label_of(picture[name], name))
@@ -250,8 +250,8 @@ def _arrows_in_circle(
     angle = np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
     inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
     x, y, away, angle = (a[inside] for a in (x, y, away, angle))
-    places = {"r": xr.DataArray(away, dims="arrow"), "theta": xr.DataArray(angle, dims="arrow")}
-    nearest = picture.sel(places, method="nearest")
+    points = {"r": xr.DataArray(away, dims="arrow"), "theta": xr.DataArray(angle, dims="arrow")}
+    nearest = picture.sel(points, method="nearest")
     outward = nearest[f"{ARROW}r"].to_numpy()
     around = nearest[f"{ARROW}theta"].to_numpy()
     along = outward * np.cos(angle) - around * np.sin(angle)
@@ -298,12 +298,12 @@ def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray)
     drawing.add_colour_bar(mesh, ax, drawing.label_of(picture[name], name), values, shrink=shrink)
 
 
-def place_of(
+def title_of(
     picture: xr.Dataset | xr.DataArray, write: Callable[[str], str] = drawing.unit_text
 ) -> str:
-    """Return the time, the phase and the place of a slice as text, with units as `write` has them."""
+    """Return the time, the phase and the position of a slice as text, with units as `write` has them."""
     parts = []
-    for name in [a for a in PLACES if a in picture.coords and not picture[a].ndim]:
+    for name in [a for a in TITLED if a in picture.coords and not picture[a].ndim]:
         value = picture[name].item()
         unit = write(str(picture[name].attrs.get("units", "")))
         text = str(value)

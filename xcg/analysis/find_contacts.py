@@ -56,15 +56,15 @@ class Stiffness:
         check("k_n", self.k_n, POSITIVE, "N m-1", optional=True)
         check("E", self.E, POSITIVE, "Pa", optional=True)
         check("nu", self.nu, above(-1, 0.5), optional=True)
-        given = [name for name in ("k_n", "E", "nu") if getattr(self, name) is not None]
-        if given not in ([], ["k_n"], ["E", "nu"]):
+        names = [name for name in ("k_n", "E", "nu") if getattr(self, name) is not None]
+        if names not in ([], ["k_n"], ["E", "nu"]):
             raise ValueError(
                 f"k_n={self.k_n!r}, E={self.E!r}, nu={self.nu!r}: expected k_n (N m-1) for linear springs, or both E "
                 "(Pa) and nu for Hertz contacts, or none of them"
             )
 
     @property
-    def given(self) -> bool:
+    def gives_forces(self) -> bool:
         """Return whether forces are wanted."""
         return self.k_n is not None or self.E is not None
 
@@ -105,7 +105,7 @@ class _Search(FrameAnalysis):
     def rows(self, scene: Scene) -> dict[str, Variable]:
         """Return the variables of contacts, forces where a stiffness is given."""
         rows = {name: variable(name) for name in FOUND}
-        if self.stiffness.given:
+        if self.stiffness.gives_forces:
             rows["contact_force"] = variable("contact_force")
         return rows
 
@@ -137,8 +137,8 @@ class _Search(FrameAnalysis):
             pairs = pairs[(body_i != body_j) | (body_i < 0)]  # negative for spheres of their own
         i, j = pairs.T
         reach = radius[i] + radius[j] + self.skin
-        rows, branch = lattice.within(lattice.shortest(position[i] - position[j]), reach)
-        i, j = pairs[rows].T
+        within, branch = lattice.within(lattice.shortest(position[i] - position[j]), reach)
+        i, j = pairs[within].T
         if self.max_contacts is not None and len(i) > self.max_contacts:
             raise SceneError(
                 f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.max_contacts} rows "
@@ -157,7 +157,7 @@ class _Search(FrameAnalysis):
             "contact_normal": normal,
             "overlap": overlap,
         }
-        if self.stiffness.given:
+        if self.stiffness.gives_forces:
             force = self.stiffness.force(overlap, radius[i], radius[j])
             contacts["contact_force"] = force[:, None] * normal
         return contacts
@@ -167,7 +167,7 @@ class _Search(FrameAnalysis):
         scene = ds.drop_dims("contact", errors="ignore").assign(result.data_vars)
         scene.attrs["history"] = result.attrs["history"]
         scene.attrs.pop("sides", None)  # of the contacts that are replaced
-        if self.stiffness.given:
+        if self.stiffness.gives_forces:
             estimate = f"normal force from the overlap of spheres: {self.stiffness}"
             scene.attrs["estimated_forces"] = estimate
             scene["contact_force"].attrs["estimated"] = estimate
@@ -182,9 +182,9 @@ class _Search(FrameAnalysis):
             diameter = diameter[frame["frozen"] != 1]
         period, direction = lattice.closest
         if diameter.max(initial=0.0) + self.skin > period:
-            row = int(np.argmax(diameter))
+            largest = int(np.argmax(diameter))
             raise SceneError(
-                f"{source}: particle {ids[row]} of diameter {diameter[row]:g} touches its own image (skin "
+                f"{source}: particle {ids[largest]} of diameter {diameter[largest]:g} touches its own image (skin "
                 f"{self.skin:g}), as the period {direction} is {period:g}, and a contact with itself "
                 f"has no place in a scene; {REPEAT}"
             )

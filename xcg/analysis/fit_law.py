@@ -213,21 +213,21 @@ def _drawn(
 ) -> dict[str, xr.Variable]:
     """Return the points of a fit and its curve with standard errors, for pictures."""
     low, high = float(points.x.min()), float(points.x.max())
-    places = np.linspace(low, high, _SMOOTH)
+    curve_x = np.linspace(low, high, _SMOOTH)
     if low > 0 and high > _LOGARITHMIC * low:
-        places = np.geomspace(low, high, _SMOOTH)
+        curve_x = np.geomspace(low, high, _SMOOTH)
     values = fit.values
-    curve = fit.function(places, *values)
+    curve = fit.function(curve_x, *values)
     # derivatives by each parameter, by central differences
-    slopes = np.empty((len(values), len(places)))
+    slopes = np.empty((len(values), len(curve_x)))
     for k, deviation in enumerate(fit.errors):
-        step = np.zeros(len(values))
-        step[k] = 1e-4 * deviation if 0 < deviation < np.inf else 1e-6 * max(1.0, abs(values[k]))
-        above, below = (fit.function(places, *(values + sign * step)) for sign in (1, -1))
-        slopes[k] = (above - below) / (2 * step[k])
+        change = np.zeros(len(values))
+        change[k] = 1e-4 * deviation if 0 < deviation < np.inf else 1e-6 * max(1.0, abs(values[k]))
+        above, below = (fit.function(curve_x, *(values + sign * change)) for sign in (1, -1))
+        slopes[k] = (above - below) / (2 * change[k])
     error = np.sqrt(np.einsum("kn,kl,ln->n", slopes, fit.covariance, slopes).clip(0))
     columns = {
-        "curve_x": ("curve_x", places, of_x),
+        "curve_x": ("curve_x", curve_x, of_x),
         "curve": ("curve_x", curve, of_y),
         "curve_error": ("curve_x", error, of_y),
         "fit_x": ("fit_point", points.x, of_x),
@@ -275,11 +275,11 @@ def draw_fit(fit: xr.Dataset, ax: Axes, **options: Any) -> Axes:
     for name in map(str, fit["parameter"].to_numpy()):
         numbers.append(f"{name} = {float(fit[name]):.3g} ± {float(fit[f'{name}_error']):.2g}")
     label = "\n".join([fit.attrs["law"], *numbers])
-    places, curve = fit["curve_x"].to_numpy(), fit["curve"].to_numpy()
-    (line,) = ax.plot(places, curve, **{"color": "black", "label": label, **options})
+    curve_x, curve = fit["curve_x"].to_numpy(), fit["curve"].to_numpy()
+    (line,) = ax.plot(curve_x, curve, **{"color": "black", "label": label, **options})
     error = fit["curve_error"].to_numpy()
-    ax.fill_between(places, curve - error, curve + error, color=line.get_color(), alpha=0.2, lw=0)
-    if places[0] > 0 and places[-1] > _LOGARITHMIC * places[0]:
+    ax.fill_between(curve_x, curve - error, curve + error, color=line.get_color(), alpha=0.2, lw=0)
+    if curve_x[0] > 0 and curve_x[-1] > _LOGARITHMIC * curve_x[0]:
         ax.set_xscale("log")
     drawing.set_label(ax.xaxis, drawing.label_of(fit["fit_x"], "fit_x"))
     drawing.set_label(ax.yaxis, drawing.label_of(fit["fit_y"], "fit_y"))
@@ -356,19 +356,19 @@ class _Points:
         """Select the points that are finite, and that have an error where others have."""
         columns = ("law_x", "law_y", "law_x_error", "law_y_error")
         x, y, x_error, y_error = (table[name].to_numpy().ravel() for name in columns)
-        is_known = np.isfinite(x) & np.isfinite(y)
-        has_error = is_known & (y_error > 0) & np.isfinite(y_error)
+        is_used = np.isfinite(x) & np.isfinite(y)
+        has_error = is_used & (y_error > 0) & np.isfinite(y_error)
         if has_error.any():
-            if without := int((is_known & ~has_error).sum()):
+            if without := int((is_used & ~has_error).sum()):
                 warn_user(
                     SceneWarning(
-                        f"fit_law: {without} of {is_known.sum()} points have no standard error "
+                        f"fit_law: {without} of {is_used.sum()} points have no standard error "
                         "above zero and are left out"
                     )
                 )
-            is_known = has_error
-        x_error = np.nan_to_num(x_error[is_known])
-        return cls(x[is_known], y[is_known], x_error, y_error[is_known], table.attrs["shared"])
+            is_used = has_error
+        x_error = np.nan_to_num(x_error[is_used])
+        return cls(x[is_used], y[is_used], x_error, y_error[is_used], table.attrs["shared"])
 
     @property
     def are_weighted(self) -> bool:
@@ -454,5 +454,5 @@ class _Points:
 
 def _slope(function: Callable[..., NDArray], x: NDArray, values: NDArray) -> NDArray:
     """Return dy/dx of a law at x (n,), by central differences."""
-    step = 1e-6 * np.maximum(np.abs(x), 1e-3 * np.ptp(x))
-    return (function(x + step, *values) - function(x - step, *values)) / (2 * step)
+    dx = 1e-6 * np.maximum(np.abs(x), 1e-3 * np.ptp(x))
+    return (function(x + dx, *values) - function(x - dx, *values)) / (2 * dx)

@@ -274,7 +274,7 @@ class _Ends(FrameAnalysis):
         position = frame["position"]
         near = position[np.abs(self.surface.distance(position)) < self.cutoff]
         if len(near):
-            places = self.surface.coordinates(near).T
-            for (dim, (low, high)), x in zip(self.ends.items(), places, strict=True):
+            coordinates = self.surface.coordinates(near).T
+            for (dim, (low, high)), x in zip(self.ends.items(), coordinates, strict=True):
                 warn_beyond(dim, x, low, high, source)
         return {"beyond": 0.0}

@@ -277,9 +277,9 @@ class _ForceChains(FrameAnalysis):
         parent = np.full(particles, loops.UNSEEN)
         members = np.empty(particles, int)
         first = np.empty(particles + 1, int)
-        place = frame["position"].copy()
+        unwrapped = frame["position"].copy()
         link = np.full(len(i), loops.UNSEEN)
-        chains = loops.Chains(chain, parent, members, first, onward, place, link)
+        chains = loops.Chains(chain, parent, members, first, onward, unwrapped, link)
         if self.algorithm == "peters2005":
             seeds = seeds[np.argsort(-major[seeds], kind="stable")]
             count = loops.linear_chains(graph, seeds, self.min_length, chains)
@@ -371,10 +371,10 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     births = number - survivors
     deaths = np.append(0, number[:-1]) - survivors
     # a track is in all steps from its first to its last
-    _, first, seen = np.unique(track[track >= 0], return_index=True, return_counts=True)
+    _, first, duration = np.unique(track[track >= 0], return_index=True, return_counts=True)
     first = np.nonzero(track >= 0)[0][first]
     birth = times[first]
-    end = times[first + seen - 1]
+    end = times[first + duration - 1]
     unit = unit_of_times(fc)
     in_step = partial(xr.Variable, "time")
     of_track = partial(xr.Variable, "track")
@@ -390,7 +390,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
         "birth_time": (of_track(birth), unit, "first time of the track"),
         "last_time": (of_track(end), unit, "last time of the track"),
         "lifetime": (of_track(end - birth), unit, "time from first to last step"),
-        "steps": (of_track(seen), "1", "steps of the track"),
+        "steps": (of_track(duration), "1", "steps of the track"),
     }
     data = labelled_table(table)
     coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}

@@ -72,7 +72,7 @@ def draw_grains(
     plane = str(ds.attrs.get("plane", "xyz"))
     cut = _cut(plane, at, frame, lattice)
     axes = [axis for axis in plane if axis not in cut]
-    offset, radius, rows = circles_of(frame, axes, cut, lattice)
+    offset, radius, drawn = circles_of(frame, axes, cut, lattice)
     if ax is None:
         ax = drawing.new_axes(ratio=drawing.ratio_of_circles(offset, radius))
     others = {key: value for key, value in options.items() if key != "norm"}
@@ -82,37 +82,40 @@ def draw_grains(
         circles.set(**{"facecolor": _PLAIN, **options})
     else:
         variable = ds[name]
-        values = _values(frame[name], variable, component)[rows]
+        values = _values(frame[name], variable, component)[drawn]
         if frame[name].ndim > 1:
             text = f"{drawing.long_name_of(variable, name)}, {component or 'magnitude'}"
             variable = variable.assign_attrs(long_name=text)
         label = drawing.label_of(variable, name)
-        known = values[np.isfinite(values)]
-        chosen = drawing.colours_of(known, **colours)
+        finite = values[np.isfinite(values)]
+        chosen = drawing.colours_of(finite, **colours)
         circles.set_array(values)
         circles.set_cmap(chosen["cmap"])
         if "norm" in options:
             circles.set_norm(options["norm"])
         else:
             circles.set_clim(chosen["vmin"], chosen["vmax"])
-        drawing.add_colour_bar(circles, ax, label, known)
+        drawing.add_colour_bar(circles, ax, label, finite)
     for axis, of_axis in zip(axes, (ax.xaxis, ax.yaxis), strict=True):
         position = ds["position"].assign_attrs(long_name=axis)
         drawing.set_label(of_axis, drawing.label_of(position, axis))
     coords = {str(k): step[k] for k in ("time", "step") if k in step.coords}
-    coords |= {axis: xr.DataArray(place, attrs=ds["position"].attrs) for axis, place in cut.items()}
+    coords |= {
+        axis: xr.DataArray(coordinate, attrs=ds["position"].attrs)
+        for axis, coordinate in cut.items()
+    }
     return xr.Dataset(coords=coords), ax
 
 
 def _check_variable(ds: xr.Dataset, name: str) -> None:
     variables = ds.data_vars.items()
-    known = [str(n) for n, v in variables if v.dims[:2] == ("time", "particle") and v.ndim <= 3]
-    if name not in known:
+    names = [str(n) for n, v in variables if v.dims[:2] == ("time", "particle") and v.ndim <= 3]
+    if name not in names:
         way = (
             "fields are drawn after ds.cg.coarse_grain(...), and particles are coloured by one of "
-            + ", ".join(known)
+            + ", ".join(names)
         )
-        raise ValueError(f"plot of a scene: {unknown('variable', name, known, way)}")
+        raise ValueError(f"plot of a scene: {unknown('variable', name, names, way)}")
 
 
 def _cut(
@@ -150,13 +153,13 @@ def circles_of(
     position = frame["position"]
     radius = frame["diameter"] / 2
     offset = position[:, [COMPONENTS.index(axis) for axis in axes]]
-    rows = np.arange(len(position))
-    for axis, place in cut.items():
+    indices = np.arange(len(position))
+    for axis, coordinate in cut.items():
         k = COMPONENTS.index(axis)
-        away = minimum_image(position - place, lattice.axis_periods)[:, k]
-        rows = np.flatnonzero(np.abs(away) < radius)
-        radius = np.sqrt(radius[rows] ** 2 - away[rows] ** 2)
-    return offset[rows], radius, rows
+        away = minimum_image(position - coordinate, lattice.axis_periods)[:, k]
+        indices = np.flatnonzero(np.abs(away) < radius)
+        radius = np.sqrt(radius[indices] ** 2 - away[indices] ** 2)
+    return offset[indices], radius, indices
 
 
 def _values(values: NDArray, variable: xr.DataArray, component: str | None) -> NDArray:

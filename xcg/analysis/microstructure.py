@@ -425,16 +425,16 @@ def _is(rate: str | xr.DataArray, source: str) -> bool:
 
 def _rate_of_lattice(ds: xr.Dataset, plane: str) -> xr.DataArray:
     """Return the deviatoric strain rate of the flow that moves the vectors of a lattice as they move."""
-    rows = ["xyz".index(a) for a in plane]
-    vectors = ds["lattice"].to_numpy()[..., rows, :][..., rows]
-    velocities = ds["lattice_velocity"].to_numpy()[..., rows, :][..., rows]
+    axes = ["xyz".index(a) for a in plane]
+    vectors = ds["lattice"].to_numpy()[..., axes, :][..., axes]
+    velocities = ds["lattice_velocity"].to_numpy()[..., axes, :][..., axes]
     is_period = np.isfinite(vectors)
-    vectors = np.where(is_period, vectors, np.eye(len(rows)))
+    vectors = np.where(is_period, vectors, np.eye(len(axes)))
     gradient = np.linalg.solve(vectors, np.where(is_period, velocities, 0.0))
     rate = (gradient + gradient.swapaxes(-1, -2)) / 2
     trace = np.trace(rate, axis1=-2, axis2=-1)[..., None, None]
-    deviator = rate - trace / len(rows) * np.eye(len(rows))
-    factor = {2: 2, 3: 2 / 3}[len(rows)]
+    deviator = rate - trace / len(axes) * np.eye(len(axes))
+    factor = {2: 2, 3: 2 / 3}[len(axes)]
     values = np.sqrt(factor * (deviator**2).sum(axis=(-2, -1)))
     return xr.DataArray(values, dims=ds["lattice"].dims[:-2])
 

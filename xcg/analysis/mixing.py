@@ -86,10 +86,10 @@ class Mixture:
     def cells(self) -> NDArray:
         """Number of each grain's cell, counted over the cells that are not empty; (n,)."""
         counts = [max(1, round(share)) for share in (self.lengths / self.cell).tolist()]
-        place = np.zeros(len(self.position), "int64")
+        cell = np.zeros(len(self.position), "int64")
         for x, length, count in zip(self.position.T, self.lengths, counts, strict=True):
-            place = place * count + np.clip((x / length * count).astype("int64"), 0, count - 1)
-        return np.unique(place, return_inverse=True)[1]
+            cell = cell * count + np.clip((x / length * count).astype("int64"), 0, count - 1)
+        return np.unique(cell, return_inverse=True)[1]
 
     def members(self, which: int) -> NDArray:
         """Return masks (parts, n) of the grains in phase `which` - 1; for 0, in each of the phases."""

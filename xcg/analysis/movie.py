@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import xarray as xr
 
-from xcg.analysis.draw_pictures import Frames, place_of
+from xcg.analysis.draw_pictures import Frames, title_of
 from xcg.analysis.film import Film
 from xcg.analysis.picture import (
     Shading,
@@ -129,7 +129,7 @@ def movie(
                 for picture in frames.pictures:
                     film.clear()
                     frames.draw(picture, film.axes)
-                    drawing.set_title(film.axes, place_of(picture))
+                    drawing.set_title(film.axes, title_of(picture))
                     film.draw()
                     writer.grab_frame()
                     bar.update()

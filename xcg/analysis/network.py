@@ -81,7 +81,7 @@ def adjacency(scene: Scene, index: int = -1, *, weight: EdgeWeight | None = None
         check_choice("weight", weight, EdgeWeight)
     needed = [name for part, name in _VARIABLES.items() if part == weight]
     scene.require([*CONTACTS, *needed], "adjacency")
-    frame, contacts = _step_at(scene.ds, index, needed)
+    frame, contacts = _contacts_at(scene.ds, index, needed)
     pairs = _edges(frame, contacts)
     count = len(frame["particle_id"])
     i = pairs["i"]
@@ -158,7 +158,7 @@ def contact_graph(scene: Scene, index: int = -1, *, include_walls: bool = False)
     scene.require(CONTACTS, "contact_graph")
     ds = scene.ds
     of_grains = [str(name) for name in ds.data_vars if "particle" in ds[name].dims]
-    frame, contacts = _step_at(ds, index, [*of_grains, *_VARIABLES.values()])
+    frame, contacts = _contacts_at(ds, index, [*of_grains, *_VARIABLES.values()])
     pairs = _edges(frame, contacts, walls=include_walls)
     coords = step_at(ds, index).coords
     graph = nx.Graph(
@@ -166,13 +166,13 @@ def contact_graph(scene: Scene, index: int = -1, *, include_walls: bool = False)
     )
     ids = np.concatenate([frame["particle_id"], pairs["walls"]]).tolist()
     columns = {name: _entries(frame[name]) for name in of_grains if name != "particle_id"}
-    for row, node in enumerate(ids[: len(frame["particle_id"])]):
-        graph.add_node(node, wall=False, **{name: values[row] for name, values in columns.items()})
+    for k, node in enumerate(ids[: len(frame["particle_id"])]):
+        graph.add_node(node, wall=False, **{name: values[k] for name, values in columns.items()})
     graph.add_nodes_from(pairs["walls"].tolist(), wall=True)
     names = ["contacts", "normal"] + [name for name, of in _VARIABLES.items() if of in frame]
     columns = {name: _entries(pairs[name]) for name in names}
-    for row, (i, j) in enumerate(zip(pairs["i"], pairs["j"], strict=True)):
-        attributes = {name: values[row] for name, values in columns.items()}
+    for k, (i, j) in enumerate(zip(pairs["i"], pairs["j"], strict=True)):
+        attributes = {name: values[k] for name, values in columns.items()}
         graph.add_edge(ids[i], ids[j], i=ids[i], j=ids[j], **attributes)
     return graph
 
@@ -184,7 +184,7 @@ def _entries(values: NDArray) -> Sequence[Any]:
     return [row.copy() for row in values]
 
 
-def _step_at(ds: xr.Dataset, index: int, names: Sequence[str]) -> tuple[Frame, Contacts]:
+def _contacts_at(ds: xr.Dataset, index: int, names: Sequence[str]) -> tuple[Frame, Contacts]:
     """Read some variables of a step, and its contacts."""
     wanted = {"particle_id", "position", *CONTACTS, "contact_normal", *names}
     frame, lattice, source = frame_at(ds, index, wanted)
@@ -198,13 +198,13 @@ def _edges(frame: Frame, contacts: Contacts, *, walls: bool = False) -> Frame:
     key = np.where(contacts.i < 0, contacts.key_i, contacts.key_j)
     at_wall = walls & (key < 0) & (contacts.first_row >= 0)
     numbers, wall = np.unique(key[at_wall], return_inverse=True)
-    rows = np.stack([contacts.i, contacts.j])
-    rows[:, at_wall] = np.where(rows[:, at_wall] < 0, count + wall, rows[:, at_wall])
-    kept = (rows >= 0).all(axis=0)
-    rows = rows[:, kept]
-    sign = np.where(rows[0] <= rows[1], 1.0, -1.0)[:, None]
+    ends = np.stack([contacts.i, contacts.j])
+    ends[:, at_wall] = np.where(ends[:, at_wall] < 0, count + wall, ends[:, at_wall])
+    kept = (ends >= 0).all(axis=0)
+    ends = ends[:, kept]
+    sign = np.where(ends[0] <= ends[1], 1.0, -1.0)[:, None]
     nodes = count + len(numbers)
-    number = rows.min(axis=0) * nodes + rows.max(axis=0)
+    number = ends.min(axis=0) * nodes + ends.max(axis=0)
     numbers_of_pairs, pair, many = np.unique(number, return_inverse=True, return_counts=True)
     i, j = divmod(numbers_of_pairs, nodes)
     force = np.zeros((len(i), 3))
@@ -243,18 +243,18 @@ class Clusters:
     def _joined(self) -> tuple[NDArray, NDArray]:
         """Root of the cluster of each grain (particles,), and along which lattice vectors that winds (particles, k)."""
         contacts = self.contacts
-        known = np.append(self.member, False)  # row -1 is that of a wall
+        is_member = np.append(self.member, False)  # index -1 is that of a wall
         lattice = contacts.lattice
         count = len(self.member)
-        row_i = np.where(known[contacts.i], contacts.i, -1)
-        row_j = np.where(known[contacts.j], contacts.j, -1)
+        index_i = np.where(is_member[contacts.i], contacts.i, -1)
+        index_j = np.where(is_member[contacts.j], contacts.j, -1)
         # in numbers of the vectors of the axes, which reduced ones of tilted boxes are sums of
         numbers = contacts.crossed @ lattice.basis @ np.linalg.pinv(lattice.given)
         crossed = np.rint(numbers).astype("int64")
         root = np.arange(count)
         moved = np.zeros((count, crossed.shape[1]), "int64")
         winds = np.zeros(moved.shape, bool)
-        join_clusters(row_i, row_j, crossed, root, moved, winds)
+        join_clusters(index_i, index_j, crossed, root, moved, winds)
         return root, winds
 
     @property
@@ -276,11 +276,13 @@ class Clusters:
         periodic = np.isfinite(contacts.lattice.lengths)
         through[:, periodic] = winds
         sides = np.zeros((len(root), 3, 2), bool)
-        for row, other, sign in ((contacts.i, contacts.j, 1.0), (contacts.j, contacts.i, -1.0)):
-            known = np.flatnonzero((row >= 0) & (other < 0))
-            known = known[self.member[row[known]]]
-            normal = sign * contacts.normal[known]
+        for index, other, sign in ((contacts.i, contacts.j, 1.0), (contacts.j, contacts.i, -1.0)):
+            at_wall = np.flatnonzero((index >= 0) & (other < 0))
+            at_wall = at_wall[self.member[index[at_wall]]]
+            normal = sign * contacts.normal[at_wall]
             axis = np.abs(normal).argmax(axis=1)
-            sides[root[row[known]], axis, (normal[range(len(known)), axis] < 0).astype(int)] = True
+            sides[
+                root[index[at_wall]], axis, (normal[range(len(at_wall)), axis] < 0).astype(int)
+            ] = True
         through[:, ~periodic] = np.asarray(sides.all(axis=2))[:, ~periodic]
         return np.asarray(through[root[self.member]].any(axis=0))

@@ -82,15 +82,15 @@ class CellLists:
         Their cells.
     records : Records
         The particles, by level and cell.
-    row : array (n,)
-        Row of the particle that each record is.
+    original : array (n,)
+        Index of the particle that each record holds.
     axes : tuple of int
         Which of x, y, z each component of the records is.
     """
 
     levels: Levels
     records: Records
-    row: NDArray
+    original: NDArray
     axes: tuple[int, ...]
 
     @classmethod
@@ -136,17 +136,17 @@ class CellLists:
         for_parts(count, locate, threads)
         # the sort leaves where each cell ends, and the next begins
         starts = np.zeros(first_cell[-1] + 2, "int32")
-        row = np.empty(count, "int32")
-        sort_by_key(cell, starts[1:], row)
+        original = np.empty(count, "int32")
+        sort_by_key(cell, starts[1:], original)
         starts = starts[:-1]
         records = np.empty((count, 4))
 
         def write(first: int, last: int) -> None:
-            loops.write_records(row[first:last], wrapped, radius, records[first:last])
+            loops.write_records(original[first:last], wrapped, radius, records[first:last])
 
         for_parts(count, write, threads)
         first_record = np.concatenate([[0], np.cumsum(members)])
-        return cls(sizes, Records(records, first_record, starts), row, tuple(axes))
+        return cls(sizes, Records(records, first_record, starts), original, tuple(axes))
 
     def find(self, first: int, last: int, max_pairs: int = 2**62) -> tuple[NDArray, NDArray, int]:
         """Pairs of some records, only some of more than `max_pairs`, and the distances that took."""
@@ -179,8 +179,8 @@ def _by_size(radius: NDArray, skin: float, levels: int | None) -> tuple[NDArray,
         return np.zeros(len(radius), "int64"), np.array([radius.max()]), np.array([len(radius)])
     span = np.log(high / low)
     count = int(levels or 1 + span / np.log(LEVEL_RATIO))
-    step = np.log(np.maximum(reach, low) / low) * (count / span)
-    level = np.minimum(step.astype("int64"), count - 1)
+    position = np.log(np.maximum(reach, low) / low) * (count / span)
+    level = np.minimum(position.astype("int64"), count - 1)
     members = np.bincount(level, minlength=count)
     largest = np.zeros(count)
     np.maximum.at(largest, level, radius)
@@ -320,7 +320,7 @@ def pairs_of(
     def find(first: int, last: int) -> tuple[NDArray, NDArray]:
         left, right, _ = lists.find(first, last, max_pairs - sum(counts))
         counts.append(len(left))
-        rows_of_pairs(left, right, lists.row)
+        rows_of_pairs(left, right, lists.original)
         return left, right
 
     # more parts than threads, as large particles take longer than small ones
@@ -372,10 +372,10 @@ def cells_of(
         reach = 2 * radii.max() + skin
         low = centres.min(axis=0) - reach
         high = centres.max(axis=0) + reach
-        row, shift, _ = lattice.images(centres, low, high, source)
+        index, shift, _ = lattice.images(centres, low, high, source)
         others = shift.any(axis=1)
-        centres = np.concatenate([centres, centres[row[others]] + shift[others]])
-        whose = np.concatenate([whose, row[others]])
+        centres = np.concatenate([centres, centres[index[others]] + shift[others]])
+        whose = np.concatenate([whose, index[others]])
     workers = int(threads or threads_for(len(centres), THREADS))
     lists = CellLists.of(
         centres, radii[whose], corner, lattice.period, skin=skin, levels=levels, threads=workers
@@ -396,9 +396,9 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
         )
     wrong = ~(np.isfinite(centres).all(axis=1) & np.isfinite(radii) & (radii >= 0))
     if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
+        index = int(np.flatnonzero(wrong)[0])
         raise SceneError(
-            f"particle {row} has position {centres[row]} and radius {radii[row]} ({int(wrong.sum())} such rows): "
+            f"particle {index} has position {centres[index]} and radius {radii[index]} ({int(wrong.sum())} such rows): "
             "expected finite coordinates and a radius of at least 0; repair or drop these rows"
         )
     if centres.shape[1] == 2:

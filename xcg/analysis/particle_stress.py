@@ -82,8 +82,10 @@ class StressRule:
                 raise SceneError(
                     "volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out"
                 )
-        known = scene.columns
-        spheres = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in known)
+        columns = scene.columns
+        spheres = tuple(
+            name for name in ("diameter", "overlap", "contact_normal") if name in columns
+        )
         if not {"diameter", "overlap"} <= set(spheres):
             spheres = ()
         variables = dict.fromkeys(("particle_id", *_CONTACTS, size, *spheres))

@@ -30,7 +30,7 @@ Shading: TypeAlias = Literal["smooth", "flat"]
 DENSITIES = ("sample_count", "density", "volume_fraction", "number_density")
 ARROW = "arrow_"
 AXES = ("r", "theta", *COMPONENTS)  # in the order in which maps have them across and up
-PLACES = ("time", "phase", *AXES)  # coordinates that titles name
+TITLED = ("time", "phase", *AXES)  # coordinates that titles name
 CIRCLE = ("r", "theta")  # axes of maps in the plane of a circle
 UNROLLED = ("theta", "z")  # of maps of an angle and a length, which have any ratio
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 
 from xcg.analysis.compare import COMPARED, ERROR
-from xcg.analysis.draw_pictures import Frames, place_of
+from xcg.analysis.draw_pictures import Frames, title_of
 from xcg.analysis.fit_law import CURVE, draw_fit
 from xcg.analysis.grain_plots import draw_grains
 from xcg.analysis.picture import (
@@ -131,7 +131,7 @@ def plot(
             picture, ax = draw_grains(f, field, index, component, at, ax, ends, options)
         except AttributeError as error:  # of matplotlib, about keywords
             raise TypeError(f"plot: {error}") from None
-        drawing.set_title(ax, place_of(picture))
+        drawing.set_title(ax, title_of(picture))
         return ax
     if CURVE in f:
         return draw_fit(f, ax or drawing.new_axes(), **options)
@@ -156,7 +156,7 @@ def _plot_step(
         frames.draw(picture, ax)
     except AttributeError as error:  # of matplotlib, about keywords
         raise TypeError(f"plot: {error}") from None
-    drawing.set_title(ax, place_of(picture))
+    drawing.set_title(ax, title_of(picture))
     return ax
 
 
@@ -198,7 +198,7 @@ def _plot_compared(
         axes[1].set_title("b")
     axes[0].set_title("a" if len(axes) == 3 else "a and b")
     axes[-1].set_title("b \N{MINUS SIGN} a")
-    if title := place_of(difference):
+    if title := title_of(difference):
         figure.suptitle(title)
     return axes[-1]
 
@@ -229,11 +229,11 @@ _OTHER_OPTIONS = {
 
 def _check_options(options: Mapping[str, Any]) -> None:
     """Raise TypeError for keywords that are done in another way."""
-    known = [name for name in inspect.signature(plot).parameters if len(name) > 2]
+    names = [name for name in inspect.signature(plot).parameters if len(name) > 2]
     for name in options:
         if name in _OTHER_OPTIONS:
             raise TypeError(f"plot has no argument {name!r}: {_OTHER_OPTIONS[name]}")
-        if near := did_you_mean(name, known, 0.8):
+        if near := did_you_mean(name, names, 0.8):
             raise TypeError(f"plot has no argument {name!r}{near}")
 
 

@@ -179,14 +179,14 @@ def plot_principal(
     values, axes = _in_plane(tensor.to_numpy())
     x, y = np.meshgrid(tensor[plane[0]], tensor[plane[1]], indexing="ij")
     largest = np.nanmax(np.abs(values))
-    step = min(float(np.ptp(tensor[a].to_numpy())) / max(1, tensor.sizes[a] - 1) for a in plane)
+    spacing = min(float(np.ptp(tensor[a].to_numpy())) / max(1, tensor.sizes[a] - 1) for a in plane)
     if ax is None:
         ax = drawing.new_axes()
         ax.set_aspect("equal")
         drawing.set_label(ax.xaxis, drawing.label_of(f[plane[0]], plane[0]))
         drawing.set_label(ax.yaxis, drawing.label_of(f[plane[1]], plane[1]))
     for k in range(2):
-        half = 0.5 * step * (np.abs(values[..., k]) / largest)[..., None] * axes[..., k, :]
+        half = 0.5 * spacing * (np.abs(values[..., k]) / largest)[..., None] * axes[..., k, :]
         middle = np.stack([x, y], axis=-1)
         bars = np.stack([middle - half, middle + half], axis=-2).reshape(-1, 2, 2)
         for chosen, style in (values[..., k] > 0, "solid"), (values[..., k] < 0, "dotted"):

@@ -73,8 +73,8 @@ def _force_count(force: str, s: Sample) -> NDArray:
 
 
 def _fabric(s: Sample) -> NDArray:
-    known = s.weight * (s.normal**2).sum(axis=1)
-    return ratio(np.einsum("n,ni,nj->ij", s.weight, s.normal, s.normal), known.sum())
+    weights = s.weight * (s.normal**2).sum(axis=1)
+    return ratio(np.einsum("n,ni,nj->ij", s.weight, s.normal, s.normal), weights.sum())
 
 
 def _percolation(s: Sample) -> NDArray:

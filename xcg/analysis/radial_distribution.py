@@ -276,8 +276,8 @@ class RadialDistribution(PhaseAnalysis):
         bounds = self.bounds or {}
         periodic = "".join(a for a in setup.plane if a in setup.periodic and a not in bounds)
         box = {"box": lattice.edges, "lattice": lattice.cell}
-        known = {name: values for name, values in box.items() if values is not None}
-        region = Lattice.of(known, periodic, source)
+        sides = {name: values for name, values in box.items() if values is not None}
+        region = Lattice.of(sides, periodic, source)
         lengths = np.abs(region.basis)
         removed = ~np.isin([*COMPONENTS], [*periodic])
         if lengths[:, removed].max(initial=0.0) > 1e-9 * lengths.max(initial=0.0):
@@ -307,12 +307,12 @@ class RadialDistribution(PhaseAnalysis):
         lists, whose = cells_of(
             position, self.r_max * radius, region, threads=workers, source=source
         )
-        particle = whose[lists.row]
+        particle = whose[lists.original]
         images = None
         is_original = None
         if region.vectors is not None:
             images = particle
-            is_original = lists.row < len(position)
+            is_original = lists.original < len(position)
         across = None
         if self.axis is not None:
             across = np.array([lists.axes.index(k) for k in self._turning[1:]])
@@ -356,13 +356,13 @@ class RadialDistribution(PhaseAnalysis):
         axis, first, second = self._turning
         inverse = [1 / self._lengths.get(k, np.inf) for k in range(3)]
         turn = np.pi * np.arange(angles + 1) / angles
-        step = np.pi / angles
+        width = np.pi / angles
         sine = np.sin(turn)
         is_late = turn > np.pi / 2
-        cosines = inverse[first] * np.diff(np.where(is_late, 2 - sine, sine)) / step
-        sines = inverse[second] * np.diff(1 - np.cos(turn)) / step
+        cosines = inverse[first] * np.diff(np.where(is_late, 2 - sine, sine)) / width
+        sines = inverse[second] * np.diff(1 - np.cos(turn)) / width
         square = np.where(is_late, 1 - sine**2 / 2, sine**2 / 2)
-        both = inverse[first] * inverse[second] * np.diff(square) / step
+        both = inverse[first] * inverse[second] * np.diff(square) / width
         ones = np.ones(angles)
         if self.setup.dimension == 2:
             return [ones, -(cosines + sines), both]

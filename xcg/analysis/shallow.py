@@ -127,9 +127,9 @@ def _first_crossing(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
     with np.errstate(invalid="ignore", divide="ignore"):
         drop = value_above - np.where(np.isnan(value_below), 0.0, value_below)
         share = (value_above - least) / drop
-    place = z[1:][k] + share * (z[:-1][k] - z[1:][k])
+    height = z[1:][k] + share * (z[:-1][k] - z[1:][k])
     starts_below = ~above[..., 0]  # else the mesh ends inside the flow
-    return np.where(crosses.any(-1) & starts_below, place, np.nan)
+    return np.where(crosses.any(-1) & starts_below, height, np.nan)
 
 
 def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
@@ -180,7 +180,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     if not axes:
         raise ValueError("fit_slope needs a surface along an axis, such as height (time, x)")
     grids = np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")
-    places = np.stack([grid.ravel() for grid in grids], axis=1)
+    points = np.stack([grid.ravel() for grid in grids], axis=1)
     support = 2 * float(np.max(facts.attrs.get("cutoff", 0.0)))
     count = len(axes)
     fit = apply_along(
@@ -189,7 +189,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
         along=[axes],
         to=[["number"]],
         sizes={"number": 2 * count + 3},
-        kwargs={"places": places, "shared": nodes_a_support(height, axes, support)},
+        kwargs={"points": points, "shared": nodes_a_support(height, axes, support)},
     )
     unit = str(height.attrs.get("units", "m"))
     at_zero = f"height of the fit at {' = '.join(axes)} = 0"
@@ -216,7 +216,7 @@ def nodes_a_support(nodes: xr.Dataset | xr.DataArray, axes: Sequence[str], suppo
     return number
 
 
-def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
+def _fitted(height: NDArray, points: NDArray, shared: float) -> NDArray:
     """Fit planes to heights (..., nodes along k axes) at places (nodes, k).
 
     Returns
@@ -225,14 +225,14 @@ def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
         Slopes, their errors, the height at 0, the angle and its error (degrees). Errors hold for independent
         nodes, with `shared` nodes for one of them.
     """
-    count = places.shape[1]
+    count = points.shape[1]
     heights = height.reshape(*height.shape[: height.ndim - count], -1)
     out = np.full((*heights.shape[:-1], 2 * count + 3), np.nan)
     for at in np.ndindex(heights.shape[:-1]):
-        known = np.isfinite(heights[at])
-        x = places[known]
-        z = heights[at][known]
-        matrix = np.column_stack([np.ones(known.sum()), x - x.mean(axis=0)])
+        finite = np.isfinite(heights[at])
+        x = points[finite]
+        z = heights[at][finite]
+        matrix = np.column_stack([np.ones(finite.sum()), x - x.mean(axis=0)])
         if len(matrix) < count + 1 or np.linalg.matrix_rank(matrix) < count + 1:
             continue
         coefficients = np.linalg.lstsq(matrix, z, rcond=None)[0]
@@ -330,7 +330,7 @@ def depth_average(
         raise ValueError(f"axes={axes!r}: the depth is along {axis!r}; resolve the others")
     smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
     check("spacing", spacing, POSITIVE, "m", optional=True)
-    steps = dict.fromkeys(axes, float(spacing or smooth.width))
+    spacings = dict.fromkeys(axes, float(spacing or smooth.width))
     lengths = {a: length for a, length in (extent or {}).items() if a not in axes}
     shared: dict[str, Any] = {"kernel": smooth, "bounds": bounds, "on_error": on_error}
 
@@ -339,7 +339,7 @@ def depth_average(
     if "contact_force" in scene.columns:
         names += ["stress", "boundary_force_density"]
     sums = coarse_grain(
-        ds, names, axes=axes, spacing=steps or None, extent=lengths | {axis: 1.0}, **shared
+        ds, names, axes=axes, spacing=spacings or None, extent=lengths | {axis: 1.0}, **shared
     )
 
     # the integral of rho u u and the free surface, from nodes along the axis
@@ -347,7 +347,7 @@ def depth_average(
         ds,
         ["density", "momentum_density", "volume_fraction"],
         axes="".join(a for a in plane if a in axes + axis),
-        spacing=steps | {axis: 0.25 * smooth.width},
+        spacing=spacings | {axis: 0.25 * smooth.width},
         extent=lengths or None,
         **shared,
     )

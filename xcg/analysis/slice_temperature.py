@@ -111,9 +111,9 @@ def slice_temperature(
         count = max(1, _number(np.ceil((high - low) / width - 1e-9)))
         nodes = low + float(width) * (np.arange(count) + 0.5)
     else:
-        step = float(spacing or width / 2)
-        count = _number((high - low) / step + 1e-9, 2 * planes + 1) + 1
-        nodes = low + step * np.arange(count)
+        distance = float(spacing or width / 2)
+        count = _number((high - low) / distance + 1e-9, 2 * planes + 1) + 1
+        nodes = low + distance * np.arange(count)
     analysis = _Slices(axis, method, float(width), nodes, low, int(planes), fitted)
     return run(scene, analysis, call=call, on_error=on_error)
 
@@ -192,7 +192,7 @@ class _Slices(FrameAnalysis):
         position = some["position"]
         velocity = some["velocity"]
         weight = some[_WEIGHTS[self.method]]
-        row = np.arange(len(position))
+        grain = np.arange(len(position))
         if self.fitted is not None:
             warn_beyond(self.axis, position[:, k], *self.fitted, source)
         # every image stands for itself, as its velocity may be another
@@ -207,13 +207,13 @@ class _Slices(FrameAnalysis):
                 last = self.nodes[-1] + self.width / 2 + reach
             low = np.where(along, first, -np.inf)
             high = np.where(along, last, np.inf)
-            row, shift, drift = lattice.images(position, low, high, source)
-            position = position[row] + shift
-            velocity = velocity[row] + drift
-            weight = weight[row]
+            grain, shift, drift = lattice.images(position, low, high, source)
+            position = position[grain] + shift
+            velocity = velocity[grain] + drift
+            weight = weight[grain]
         of_method = {"bins": _bins, "planes": _planes}[self.method]
         period = float(lattice.period[k])
-        out = of_method(self, position[:, k], velocity, weight, row, period)
+        out = of_method(self, position[:, k], velocity, weight, grain, period)
         return {
             "granular_temperature": out[:, 0],
             "velocity": out[:, 1:4],
@@ -229,7 +229,7 @@ def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArr
 
 
 def _bins(
-    slices: _Slices, x: NDArray, velocity: NDArray, mass: NDArray, row: NDArray, period: float
+    slices: _Slices, x: NDArray, velocity: NDArray, mass: NDArray, grain: NDArray, period: float
 ) -> NDArray:
     """Return temperature, velocity and count (slices, 5) by the centres of grains."""
     low = slices.low
@@ -246,7 +246,7 @@ def _bins(
         here = images > 0
         m = (images * mass)[here]
         v = velocity[here]
-        out[k, 4] = len(np.unique(row[here]))
+        out[k, 4] = len(np.unique(grain[here]))
         if len(m):
             out[k, 1:4] = (m @ v) / m.sum()
         if len(m) > 1:
@@ -255,7 +255,12 @@ def _bins(
 
 
 def _planes(
-    slices: _Slices, x: NDArray, velocity: NDArray, diameter: NDArray, row: NDArray, period: float
+    slices: _Slices,
+    x: NDArray,
+    velocity: NDArray,
+    diameter: NDArray,
+    original: NDArray,
+    period: float,
 ) -> NDArray:
     """Return temperature, velocity and count (slices, 5) by the cuts of grains with planes."""
     width = slices.width
@@ -285,7 +290,7 @@ def _planes(
         total = 0.0
         energy = 0.0
         momentum = np.zeros(3)
-        seen = np.zeros(count, bool)
+        is_cut = np.zeros(count, bool)
         shared = 0.0
         for m in shifts:
             plane = node + m * width / (2 * max(sides, 1))
@@ -296,7 +301,7 @@ def _planes(
             area = np.pi * np.maximum(radius[near] ** 2 - (x[near] - plane) ** 2, 0.0)
             if not area.sum() > 0:
                 continue
-            seen[grain[near][area > 0]] = True
+            is_cut[grain[near][area > 0]] = True
             v = velocity[near]
             mean = (area @ v) / area.sum()
             momentum += share * area.sum() * mean
@@ -304,7 +309,7 @@ def _planes(
             if (area > 0).sum() > 1:  # one grain has no fluctuation about itself
                 energy += share * (area @ (v - mean)[:, dims] ** 2).sum()
                 shared += share * area.sum()
-        out[k, 4] = len(np.unique(row[seen]))
+        out[k, 4] = len(np.unique(original[is_cut]))
         if total > 0:
             out[k, 1:4] = momentum / total
         if shared > 0:

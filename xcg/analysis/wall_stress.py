@@ -237,8 +237,8 @@ def _over_surface(
     is_bounded = any(getattr(surface, end, None) is not None for end in ("bounds", "low", "high"))
     if beyond.any() and not is_bounded:
         dims = [*cells.coords][-len(cells.bounds) :]
-        places = surface.coordinates(point[beyond]).T
-        for a, x, (low, high) in zip(dims, places, cells.bounds, strict=True):
+        coordinates = surface.coordinates(point[beyond]).T
+        for a, x, (low, high) in zip(dims, coordinates, cells.bounds, strict=True):
             if a not in task.setup.periodic:
                 warn_beyond(a, x, low, high, source, what="contacts with the wall")
     return (point + shifts[nearest])[near], force[near]

@@ -147,9 +147,9 @@ def _points(
         raise ValueError(
             f"at has shapes {shapes}: expected one number an axis, or lists of the same length, one entry a point"
         )
-    rows = np.column_stack(list(columns.values())).tolist()
+    points = np.column_stack(list(columns.values())).tolist()
     dims = ["point"] if any(shapes.values()) else []
-    return [dict(zip(columns, row, strict=True)) for row in rows], dims
+    return [dict(zip(columns, point, strict=True)) for point in points], dims
 
 
 def join_widths(scene: Scene, widths: Sequence[float], ask: Callable[..., Request]) -> xr.Dataset:
@@ -196,9 +196,9 @@ def _bias(
     bias = (level.reindex(width=widths, method="ffill") * squares).transpose(*field.dims)
     parts = [dim for dim in ("component", "direction") if dim in field.dims]
     others = ("width", "time", "phase", "other_phase", *parts)
-    places = [dim for dim in field.dims if dim not in others]
+    node_dims = [dim for dim in field.dims if dim not in others]
     size = (bias**2).sum(parts, skipna=False) ** 0.5
-    largest = ((field**2).sum(parts, skipna=False) ** 0.5).max(places)
+    largest = ((field**2).sum(parts, skipna=False) ** 0.5).max(node_dims)
     what = field.attrs.get("long_name", name)
     units = field.attrs.get("units", "1")
     share = f"more than {max_bias:g} of its largest value"
@@ -224,8 +224,8 @@ def _plateau(
     slope = abs(by_width.assign_coords(width=widths) / field.where(field != 0))
     # the ends have one neighbour only: no plateau is told from them
     inside = slope.where((slope.width > widths[0]) & (slope.width < widths[-1])).fillna(np.inf)
-    rows = xr.DataArray(np.arange(len(widths)), {"width": widths}, "width")
-    best = (rows == inside.argmin("width")) & (inside.min("width") < max_slope)
+    numbers = xr.DataArray(np.arange(len(widths)), {"width": widths}, "width")
+    best = (numbers == inside.argmin("width")) & (inside.min("width") < max_slope)
     value = field.where(best).sum("width", min_count=1)
     width = inside.width.where(best).sum("width", min_count=1)
     unit = field.coords["width"].attrs.get("units", "m")

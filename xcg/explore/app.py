@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.compare import ERROR
-from xcg.analysis.picture import PLACES
+from xcg.analysis.picture import TITLED
 from xcg.common.checks import extra
 from xcg.common.messages import SceneWarning, printable
 from xcg.explore.choices import Choice, Pictures, pictures_of
@@ -215,8 +215,8 @@ class Explorer:
         if self._picture is not None:
             name = self._picture.attrs["drawn"]
             table = self._picture[[n for n in (name, f"{name}{ERROR}") if n in self._picture]]
-            places = {*table.dims, *PLACES, "step"}
-            table = table.drop_vars([n for n in table.coords if n not in places])
+            kept = {*table.dims, *TITLED, "step"}
+            table = table.drop_vars([n for n in table.coords if n not in kept])
             table.to_dataframe().to_csv(text)
         text.seek(0)
         return text

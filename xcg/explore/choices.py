@@ -96,8 +96,8 @@ class Choice:
         """Return the arguments of `plot` for arrows and colours that are not those by default."""
         if self.view == "profile":
             return {}
-        given = {"cmap": self.cmap, "vmin": self.vmin, "vmax": self.vmax}
-        arguments: dict[str, Any] = {name: v for name, v in given.items() if v is not None}
+        limits = {"cmap": self.cmap, "vmin": self.vmin, "vmax": self.vmax}
+        arguments: dict[str, Any] = {name: v for name, v in limits.items() if v is not None}
         if self.is_logarithmic:
             arguments["norm"] = "log"
         if self.arrows != "auto":
@@ -408,10 +408,10 @@ class ScenePictures(Pictures):
             axis = self.cut_axis(choice)
             cut = {axis: float(f"{np.mean(self.range_of(axis)):.4g}")}
             note = f"grains at {axis} = {cut[axis]:.4g}"
-        centre, radius, rows = circles_of(frame, choice.axes, cut, lattice)
-        if len(rows) > MOST_GRAINS:
-            note = f"{MOST_GRAINS} of {len(rows)} grains are drawn"
-            some = np.argsort(hashed(frame["particle_id"][rows]), kind="stable")[:MOST_GRAINS]
+        centre, radius, drawn = circles_of(frame, choice.axes, cut, lattice)
+        if len(drawn) > MOST_GRAINS:
+            note = f"{MOST_GRAINS} of {len(drawn)} grains are drawn"
+            some = np.argsort(hashed(frame["particle_id"][drawn]), kind="stable")[:MOST_GRAINS]
             centre, radius = centre[some], radius[some]
         across, up = centre.T
         return {"x": across, "y": up, "radius": radius}, note

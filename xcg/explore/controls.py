@@ -111,9 +111,9 @@ class Controls:
             low, high = self.pictures.range_of(self.pictures.cut_axis(self.choice))
             if (slider.start, slider.end) != (low, high):
                 count = self.pictures.intervals_of(self.pictures.cut_axis(self.choice))
-                step = (high - low) / count
-                middle = low + (count + 1) // 2 * step
-                slider.param.update(start=low, end=high, step=step, value=middle)
+                interval = (high - low) / count
+                middle = low + (count + 1) // 2 * interval
+                slider.param.update(start=low, end=high, step=interval, value=middle)
         is_map = view != "profile"
         for name in ONLY_MAPS:
             controls[name].visible = is_map

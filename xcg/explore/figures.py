@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.compare import ERROR
-from xcg.analysis.draw_pictures import place_of, segments_of
+from xcg.analysis.draw_pictures import segments_of, title_of
 from xcg.analysis.picture import CIRCLE, UNROLLED, may_diverge
 from xcg.common import drawing
 from xcg.common.checks import extra
@@ -223,23 +223,23 @@ class Map:
             figure.tags = [ratio, SHORTEST]
         figure.xaxis.axis_label = label_across
         figure.yaxis.axis_label = label_up
-        _set_title(figure, label, place_of(numbers, drawing.unit_in_unicode))
+        _set_title(figure, label, title_of(numbers, drawing.unit_in_unicode))
 
     def _colour(self, numbers: xr.DataArray, choice: Choice) -> str:
         """Set colours and their ends as `plot` has them; return the label of the colour bar."""
-        known = numbers.to_numpy()
-        known = known[np.isfinite(known)]
+        finite = numbers.to_numpy()
+        finite = finite[np.isfinite(finite)]
         label = label_of(numbers, str(numbers.name))
         mapper = self._linear
         cmap = choice.cmap or "viridis"
         if choice.is_logarithmic:
             mapper = self._logarithm
-            low, high = _ends_of_logarithm(known, str(numbers.name), choice)
+            low, high = _ends_of_logarithm(finite, str(numbers.name), choice)
         else:
             if choice.vmax is None and may_diverge(numbers):
-                known, note = drawing.without_tail(known)
+                finite, note = drawing.without_tail(finite)
                 label += note
-            colours = drawing.colours_of(known, choice.cmap, choice.vmin, choice.vmax)
+            colours = drawing.colours_of(finite, choice.cmap, choice.vmin, choice.vmax)
             low, high, cmap = colours["vmin"], colours["vmax"], colours["cmap"]
         palette = getattr(self._palettes, PALETTES[cmap])
         mapper.update(palette=self._palettes.interp_palette(palette, COLOURS), low=low, high=high)
@@ -266,11 +266,11 @@ class Map:
 
 def _band(nodes: NDArray, values: NDArray, errors: NDArray) -> tuple[NDArray, NDArray]:
     """Return the outline of a band of one error on both sides; NaN between parts with known numbers."""
-    known = np.isfinite(values + errors)
-    parts = np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(known)) + 1)
+    finite = np.isfinite(values + errors)
+    parts = np.split(np.arange(len(nodes)), np.flatnonzero(np.diff(finite)) + 1)
     outlines = []
     for part in parts:
-        if known[part[0]]:
+        if finite[part[0]]:
             low = [nodes[part], (values - errors)[part]]
             high = [nodes[part][::-1], (values + errors)[part][::-1]]
             outlines.append(np.concatenate([low, high, np.full((2, 1), np.nan)], axis=1))
@@ -318,9 +318,9 @@ class Profile:
         numbers = picture[choice.field]
         axis, *others = (str(dim) for dim in numbers.dims)
         parts = list(product(*(numbers[dim].to_numpy() for dim in others)))
-        places = [dict(zip(others, part, strict=True)) for part in parts]
+        selections = [dict(zip(others, part, strict=True)) for part in parts]
         nodes = numbers[axis].to_numpy()
-        values = [numbers.sel(place).to_numpy() for place in places]
+        values = [numbers.sel(selection).to_numpy() for selection in selections]
         colours = [self._palette[k % len(self._palette)] for k in range(len(parts))]
         names = ["x", "y"]
         labels = [label_of(numbers[axis], axis), label_of(numbers, str(numbers.name))]
@@ -338,7 +338,7 @@ class Profile:
         error = picture.get(f"{choice.field}{ERROR}")
         title = ""
         if error is not None:
-            errors = [error.sel(place).to_numpy() for place in places]
+            errors = [error.sel(selection).to_numpy() for selection in selections]
             bands = [_band(nodes, *pair) for pair in zip(values, errors, strict=True)]
             self.bands.data = {
                 along: [band[0] for band in bands],
@@ -348,7 +348,7 @@ class Profile:
             title = "band: one standard error"
         self.figure.legend.visible = bool(others)
         self.figure.xaxis.axis_label, self.figure.yaxis.axis_label = labels
-        _set_title(self.figure, place_of(numbers, drawing.unit_in_unicode), title)
+        _set_title(self.figure, title_of(numbers, drawing.unit_in_unicode), title)
 
     def clear(self) -> None:
         """Draw nothing."""
