@@ -166,7 +166,7 @@ TABLE = [
         "test_bits_are_rounded_to_nearest_even",
     ),
     Mutation(
-        "compiled/text.py", "known = known and also and above == value", "known = known and also",
+        "compiled/text.py", "is_nearest = is_nearest and also and above == value", "is_nearest = is_nearest and also",
         "test_numbers_are_the_nearest_float64",
     ),
     Mutation(

@@ -105,7 +105,7 @@ def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresse
     points[:, abs(away - 1.0) < 1e-5] = 9.0
     away[abs(away - 1.0) < 1e-5] = 9.0
     with mock.patch.object(cells, "_COMPRESSES", compresses):
-        instruction = cells.list_near_place
+        instruction = cells.list_near_point
         others = (tuple(place),)
         rows = (X, Y, Z, Q2)
         if not of_place:

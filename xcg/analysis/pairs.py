@@ -14,7 +14,7 @@ from xcg.common.messages import SceneError
 from xcg.compiled import pairs as loops
 from xcg.compiled._jit import THREADS, for_parts, threads_for
 from xcg.compiled.arrays import sort_by_key
-from xcg.compiled.pairs import Levels, Records, rows_of_pairs, sort_pairs
+from xcg.compiled.pairs import Levels, Records, order_pairs, sort_pairs
 from xcg.compiled.radial_distribution import Histogram
 from xcg.scene.box import domain_of
 from xcg.scene.lattice import Lattice
@@ -320,7 +320,7 @@ def pairs_of(
     def find(first: int, last: int) -> tuple[NDArray, NDArray]:
         left, right, _ = lists.find(first, last, max_pairs - sum(counts))
         counts.append(len(left))
-        rows_of_pairs(left, right, lists.original)
+        order_pairs(left, right, lists.original)
         return left, right
 
     # more parts than threads, as large particles take longer than small ones

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import check_choice, is_positive
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import for_parts, threads_for
-from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
+from xcg.compiled.contacts import blank_zero_tensors, scale_tensors
 from xcg.compiled.matrices import principal
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
@@ -123,7 +123,7 @@ class StressRule:
             some = slice(first, last)
             scale_tensors(stress[some], volumes[some])
             principal(stress[some], values[some], vectors[some])
-            blank_rows_of_zeros(stress[some], vectors[some])
+            blank_zero_tensors(stress[some], vectors[some])
 
         for_parts(len(stress), write, contacts.threads)
         size = _norms(stress)

@@ -13,7 +13,7 @@ from xcg.compiled._jit import inlined, inner, leaf
 
 @lru_cache
 def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
-    """Points and weights of Gauss-Legendre rules on [0, 1]: the rule of n points fills the first n places of row n."""
+    """Points and weights of Gauss-Legendre rules on [0, 1]: the rule of n points fills the first n columns of row n."""
     points = np.zeros((max(orders) + 1, max(orders)))
     weights = np.zeros_like(points)
     for n in orders:
@@ -30,7 +30,7 @@ def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
 def sort_by_key(key, start, order):
     """Write which thing comes first, second, ... (n,) by its key (n,), a whole number; things of one key stay in order.
 
-    `start` (keys + 1,) is zeros before; afterwards ``start[k]`` is one past the last place of key
+    `start` (keys + 1,) is zeros before; afterwards ``start[k]`` is one past the last index of key
     k.
     """
     for n in range(key.size):

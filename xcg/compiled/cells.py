@@ -6,7 +6,7 @@ sorted by the cell that they are in, so that the points of neighbouring cells al
 As for a mesh it is first computed how far each row of cells is reached, for all rows at once; then
 the points of the runs are looked at, as many at a time as a vector holds.
 
-What tests points against a place or a segment is written out as in `xcg.compiled.simd`: points are
+What tests points against a point or a segment is written out as in `xcg.compiled.simd`: points are
 tested once, and all that lists hold of near points moves to the front of the vectors by one mask,
 so that nothing goes through memory in between.
 """
@@ -79,8 +79,8 @@ def _kept(context, builder, signature, args, tests, listed):
     lanes = tests.type.count
     short = ir.IntType(32)
     whole = ir.IntType(64)
-    place, _ = typed(context, builder, signature, args)
-    first, left = (vector_of(builder, [builder.trunc(place(k), short)] * lanes) for k in (4, 5))
+    index_of, _ = typed(context, builder, signature, args)
+    first, left = (vector_of(builder, [builder.trunc(index_of(k), short)] * lanes) for k in (4, 5))
     ramp = ir.Constant(ir.VectorType(short, lanes), list(range(lanes)))
     near = builder.fcmp_ordered("<", tests, ir.Constant(tests.type, [1.0] * lanes))
     near = builder.and_(near, builder.icmp_signed("<", ramp, left))
@@ -92,7 +92,7 @@ def _kept(context, builder, signature, args, tests, listed):
             found.append(builder.add(found[-1], builder.zext(is_near, whole)))
     kept = [(0, row, vector) for row, vector in listed.items()]
     for k, row, vector in (*kept, (1, NODE, builder.add(first, ramp))):
-        to = [ir.Constant(whole, int(row)), place(2)]
+        to = [ir.Constant(whole, int(row)), index_of(2)]
         target, align = pointer_to(context, builder, signature.args[k], args[k], to, lanes)
         if _COMPRESSES:
             number = signature.args[k].dtype
@@ -119,15 +119,15 @@ def _kept(context, builder, signature, args, tests, listed):
 
 def _loaded(context, builder, signature, args, lanes):
     """Vectors of the coordinates x, y and z of points, from the first one on."""
-    place, _ = typed(context, builder, signature, args)
+    index_of, _ = typed(context, builder, signature, args)
     for column in cgutils.unpack_tuple(builder, args[3]):
         pointer, align = pointer_to(
-            context, builder, signature.args[3].dtype, column, [place(4)], lanes
+            context, builder, signature.args[3].dtype, column, [index_of(4)], lanes
         )
         yield builder.load(pointer, align=align)
 
 
-def _list_near_place(typingctx, values, numbers, at, points, first, left, place):
+def _list_near_point(typingctx, values, numbers, at, points, first, left, centre):
     def generate(context, builder, signature, args):
         lanes = VECTOR // (values.dtype.bitwidth // 8)
         d = []
@@ -141,16 +141,16 @@ def _list_near_place(typingctx, values, numbers, at, points, first, left, place)
     return types.uint64(values, numbers, at, points, first, left, three), generate
 
 
-@compiled_as(_list_near_place)
-def list_near_place(values, numbers, at, points, first, left, place):
-    """List the points among eight, from `first` on, that are closer than 1 to a place (x, y, z).
+@compiled_as(_list_near_point)
+def list_near_point(values, numbers, at, points, first, left, centre):
+    """List the points among eight, from `first` on, that are closer than 1 to a point (x, y, z).
 
     `points` are three arrays, of x, y and z. No more than `left` points are looked at. What
     `nodes_in_ball` writes of each is written from `at` on; returns how many there are. Memory that
     follows them is overwritten, up to eight numbers from `at` on.
     """
     n = np.arange(int(first), int(first) + min(int(left), VECTOR // values.itemsize))
-    a, b, c = (start - column[n] for start, column in zip(place, points, strict=True))
+    a, b, c = (start - column[n] for start, column in zip(centre, points, strict=True))
     q2 = a * a + b * b + c * c
     near = q2 < 1.0
     here = slice(int(at), int(at) + int(near.sum()))
@@ -163,7 +163,7 @@ def list_near_place(values, numbers, at, points, first, left, place):
 
 
 def _list_near_segment(
-    typingctx, values, numbers, at, points, first, left, place, direction, length
+    typingctx, values, numbers, at, points, first, left, begin, direction, length
 ):
     def generate(context, builder, signature, args):
         _, value = typed(context, builder, signature, args)
@@ -196,17 +196,17 @@ def _list_near_segment(
 
 
 @compiled_as(_list_near_segment)
-def list_near_segment(values, numbers, at, points, first, left, place, direction, length):
+def list_near_segment(values, numbers, at, points, first, left, begin, direction, length):
     """List the points among eight, or sixteen in single precision, that are closer than 1 to a segment.
 
-    The segment begins at a place and runs along a unit vector. Differences of places are taken in
-    double precision, the rest has the precision of the lists. Otherwise as `list_near_place`, with
+    The segment runs from `begin` along a unit vector. Differences of points are taken in
+    double precision, the rest has the precision of the lists. Otherwise as `list_near_point`, with
     what `nodes_around_segment` writes.
     """
     real = values.dtype.type
     n = np.arange(int(first), int(first) + min(int(left), VECTOR // values.itemsize))
     a, b, c = (
-        (column[n] - start).astype(real) for start, column in zip(place, points, strict=True)
+        (column[n] - start).astype(real) for start, column in zip(begin, points, strict=True)
     )
     r2 = a * a + b * b + c * c
     ex, ey, ez = (real(number) for number in direction)
@@ -254,7 +254,7 @@ class PointCells(NamedTuple):
 
 
 def lists_for_points(cells: PointCells, reach: Sequence[float], real: str = "float64") -> Lists:
-    """Make lists of points for anything that reaches this far, from end to end: all points may be in one place.
+    """Make lists of points for anything that reaches this far, from end to end: all points may coincide.
 
     The integers come with a table of the numbers of the first cells of rows.
     """
@@ -277,7 +277,7 @@ def _cell_range(low, high, lower, per_size, count):
 
 @inner
 def _beyond(x, k, lower, size, per_size, margin):
-    """Return the least distance of a place from cell k of an axis; 0 where there is one cell only."""
+    """Return the least distance of a point from cell k of an axis; 0 where there is one cell only."""
     if per_size == 0.0:
         return 0.0
     low = lower + k * size
@@ -286,7 +286,7 @@ def _beyond(x, k, lower, size, per_size, margin):
 
 @inner
 def points_in_ball(x, y, z, cells, lists):
-    """List the points of some cells that are closer than 1 to a place, as `nodes_in_ball` does."""
+    """List the points of some cells that are closer than 1 to a point, as `nodes_in_ball` does."""
     if cells is None:
         return 0
     values = lists.values
@@ -326,7 +326,7 @@ def points_in_ball(x, y, z, cells, lists):
         end = start[numbers[END, k]]
         left = np.int64(end - first)
         while True:
-            hits += list_near_place(values, numbers, hits, points, first, left, (x, y, z))
+            hits += list_near_point(values, numbers, hits, points, first, left, (x, y, z))
             left -= EIGHT
             if left <= 0:
                 break
@@ -336,9 +336,9 @@ def points_in_ball(x, y, z, cells, lists):
 
 @inner
 def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
-    """List the points closer than 1 to the segment from a place to that place plus b, as `nodes_around_segment` does.
+    """List the points closer than 1 to the segment from a point to that point plus b, as `nodes_around_segment` does.
 
-    Differences of places are taken in double precision; the rest has the precision of the lists.
+    Differences of points are taken in double precision; the rest has the precision of the lists.
     """
     if cells is None:
         return 0

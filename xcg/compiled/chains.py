@@ -81,7 +81,7 @@ class Graph(NamedTuple):
 
 
 class Chains(NamedTuple):
-    """Chains of a search; all but `onward` and `place` are set by it.
+    """Chains of a search; all but `onward` and `unwrapped` are set by it.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Chains(NamedTuple):
         Where each chain begins among the members.
     onward : (n, 3)
         Directions, turned onward.
-    place : (n, 3)
+    unwrapped : (n, 3)
         Positions, made continuous along each chain across periodic boundaries.
     link : (m,)
         Chain that each contact is a link of, UNSEEN at first.
@@ -104,7 +104,7 @@ class Chains(NamedTuple):
     members: NDArray
     first: NDArray
     onward: NDArray
-    place: NDArray
+    unwrapped: NDArray
     link: NDArray
 
 
@@ -127,12 +127,12 @@ def _far_end(graph, c, p):
 
 
 @jit
-def _step(p, q, sign, branch, chains):
-    """Go from p to q: place q beside p, and turn its direction onward."""
+def _extend(p, q, sign, branch, chains):
+    """Extend a chain from p to q: unwrap the position of q beside p, and turn its direction onward."""
     chains.parent[q] = p
     ahead = sign * dot(branch, chains.onward[q])
     for k in range(3):
-        chains.place[q, k] = chains.place[p, k] + sign * branch[k]
+        chains.unwrapped[q, k] = chains.unwrapped[p, k] + sign * branch[k]
         if ahead < 0.0:
             chains.onward[q, k] *= -1.0
 
@@ -211,7 +211,7 @@ def branching_chains(graph, seeds, one_sided, min_length, chains):
                         continue
                 if chain[q] == UNSEEN:
                     chain[q] = count
-                    _step(p, q, sign, branch, chains)
+                    _extend(p, q, sign, branch, chains)
                     members[filled] = q
                     filled += 1
                     stack[depth] = q
@@ -279,7 +279,7 @@ def linear_chains(graph, seeds, min_length, chains):
                 q, sign = _far_end(graph, best, p)
                 chain[q] = count
                 chains.link[best] = count
-                _step(p, q, sign, graph.branch[best], chains)
+                _extend(p, q, sign, graph.branch[best], chains)
                 members[filled] = q
                 filled += 1
                 p = q
@@ -303,7 +303,7 @@ def count_links(graph, link, links):
     links : (n,)
         Set here.
     """
-    seen = np.full(links.size, UNSEEN)
+    counted_from = np.full(links.size, UNSEEN)
     for p in range(links.size):
         links[p] = 0
         for e in range(graph.start[p], graph.start[p + 1]):
@@ -311,10 +311,10 @@ def count_links(graph, link, links):
             if link[c] == UNSEEN:
                 continue
             q, _ = _far_end(graph, c, p)
-            if seen[q] == p:
+            if counted_from[q] == p:
                 link[c] = UNSEEN
                 continue
-            seen[q] = p
+            counted_from[q] = p
             links[p] += 1
 
 
@@ -355,7 +355,7 @@ def describe_chains(chains, stress, links, shapes):
     shapes : Shapes
         Set here.
     """
-    place = chains.place
+    unwrapped = chains.unwrapped
     lengths, edges, branches, mean, orientation, normal = shapes
     count = lengths.size
     spread = np.zeros((count, 3, 3))
@@ -376,13 +376,13 @@ def describe_chains(chains, stress, links, shapes):
             branches[k] += links[p] > 2
             mean[k] += stress[p] / size
             for a in range(3):
-                centre[a] += (place[p, a] - place[seed, a]) / size
+                centre[a] += (unwrapped[p, a] - unwrapped[seed, a]) / size
         edges[k] //= 2
         for p in particles:
             for a in range(3):
                 for b in range(3):
-                    away_a = place[p, a] - place[seed, a] - centre[a]
-                    away_b = place[p, b] - place[seed, b] - centre[b]
+                    away_a = unwrapped[p, a] - unwrapped[seed, a] - centre[a]
+                    away_b = unwrapped[p, b] - unwrapped[seed, b] - centre[b]
                     spread[k, a, b] += away_a * away_b
     principal(spread, extent, axes)
     for k in range(count):

@@ -1,4 +1,4 @@
-"""Loops over contacts and the rows of their particles: sums by row, vectors between rows, the k-core of a network."""
+"""Loops over contacts: sums by particle, vectors between particles, the k-core of a network."""
 
 import math
 
@@ -6,35 +6,35 @@ from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import image_near, nearest_image, nearest_of
 from xcg.compiled.simd import prefetch
 
-AHEAD = 16  # the particles of the contact so many places ahead are prefetched
+AHEAD = 16  # the particles of the contact so many ahead are prefetched
 
 
 @leaf
-def add_rows(row, sign, values, out):
-    """Add sign x values (n, k) to the rows of out (m, k) that `row` (n,) names; negative rows are left out."""
-    for n in range(row.size):
-        prefetch(out, row[min(n + AHEAD, row.size - 1)])
-        if row[n] >= 0:
+def add_rows(index, sign, values, out):
+    """Add sign x values (n, k) to the rows `index` (n,) of out (m, k); negative indices are left out."""
+    for n in range(index.size):
+        prefetch(out, index[min(n + AHEAD, index.size - 1)])
+        if index[n] >= 0:
             for c in range(values.shape[1]):
-                out[row[n], c] += sign * values[n, c]
+                out[index[n], c] += sign * values[n, c]
 
 
 @leaf
-def k_core(row_i, row_j, weight, least, degree, kept):
-    """Find the k-core: take out rows of fewer than `least` partners, again and again, until all that stay have as many.
+def k_core(index_i, index_j, weight, least, degree, kept):
+    """Find the k-core: take out particles of fewer than `least` partners until all that stay have as many.
 
     Parameters
     ----------
     row_i, row_j : (n,)
-        Pairs; negative where a partner has no row.
+        Pairs; negative where a partner is not in the scene.
     weight : (n,)
         1 for pairs that count, 0 for repeated ones.
     least : int
-        Partners that a row needs to stay.
+        Partners that a particle needs to stay.
     degree : (m,)
-        Number of partners of each row; lowered here.
+        Number of partners of each particle; lowered here.
     kept : (m,)
-        Whether each row stays (true on entry), set here.
+        Whether each particle stays (true on entry), set here.
     """
     again = True
     while again:
@@ -43,11 +43,11 @@ def k_core(row_i, row_j, weight, least, degree, kept):
             if kept[i] and degree[i] < least:
                 kept[i] = False
                 again = True
-        # the degrees of the rows that stay are counted again from the pairs: that takes no lists of
-        # each row's partners
+        # the degrees of particles that stay are counted again from the pairs: that takes no lists of
+        # partners
         degree[:] = 0.0
-        for n in range(row_i.size):
-            i, j = row_i[n], row_j[n]
+        for n in range(index_i.size):
+            i, j = index_i[n], index_j[n]
             here_i, here_j = i >= 0 and kept[i], j >= 0 and kept[j]
             if here_i and (here_j or j < 0):
                 degree[i] += weight[n]
@@ -56,43 +56,43 @@ def k_core(row_i, row_j, weight, least, degree, kept):
 
 
 @inner
-def _root(row, parent, moved):
-    """Make the root of its cluster the parent of a row, and return it; the way is halved until it is one step."""
-    while parent[parent[row]] != parent[row]:
-        below = row
+def _root(node, parent, moved):
+    """Make the root of its cluster the parent of a node, and return it; the way is halved until it is one link."""
+    while parent[parent[node]] != parent[node]:
+        below = node
         while parent[below] != below:
             above = parent[below]
             for k in range(moved.shape[1]):
-                moved[below, k] += moved[above, k]  # zero where the row above is a root
+                moved[below, k] += moved[above, k]  # zero where the node above is a root
             parent[below] = parent[above]
             below = parent[below]
-    return parent[row]
+    return parent[node]
 
 
 @leaf
-def join_clusters(row_i, row_j, crossed, parent, moved, winds):
-    """Join rows that contacts connect into clusters, by union and find, with the periods between their images.
+def join_clusters(index_i, index_j, crossed, parent, moved, winds):
+    """Join particles that contacts connect into clusters, by union and find, with the periods between their images.
 
-    A contact between two rows of one cluster closes a loop. A loop that ends in another image of
+    A contact between two particles of one cluster closes a loop. A loop that ends in another image of
     where it begins winds around the box (Newman & Ziff 2001).
 
     Parameters
     ----------
     row_i, row_j : (n,)
-        Rows that contacts connect; those with a negative one are left out.
+        Particles that contacts connect; pairs with a negative index are left out.
     crossed : (n, k)
-        Periods between row j and the image of it that touches row i.
+        Periods between particle j and the image of it that touches i.
     parent : (m,)
-        The rows themselves on entry; the root of each row's cluster.
+        The indices themselves on entry; the root of each particle's cluster.
     moved : (m, k)
-        Zero on entry; periods between the images of a row and its root that are connected.
+        Zero on entry; periods between the images of a particle and its root that are connected.
     winds : (m, k)
         False on entry; along which periods the clusters of these roots wind.
     """
-    for n in range(row_i.size):
-        if row_i[n] < 0 or row_j[n] < 0:
+    for n in range(index_i.size):
+        if index_i[n] < 0 or index_j[n] < 0:
             continue
-        i, j = row_i[n], row_j[n]
+        i, j = index_i[n], index_j[n]
         one = _root(i, parent, moved)
         other = _root(j, parent, moved)
         for k in range(crossed.shape[1]):
@@ -103,20 +103,20 @@ def join_clusters(row_i, row_j, crossed, parent, moved, winds):
                 moved[other, k] = left_open
                 winds[one, k] |= winds[other, k]
         parent[other] = one
-    for row in range(parent.size):
-        _root(row, parent, moved)
+    for node in range(parent.size):
+        _root(node, parent, moved)
 
 
 @leaf
-def add_dyads(row, sign, a, b, first, out):
-    """Add sign a b, (n, 3) each, to the rows that `row` (n,) names, of which out (m, 3, 3) are those from `first` on.
+def add_dyads(index, sign, a, b, first, out):
+    """Add sign a b, (n, 3) each, to the particles `index` (n,), of which out (m, 3, 3) holds those from `first` on.
 
-    Rows outside `out` are skipped: threads that share the rows need not wait for each other.
+    Particles outside `out` are skipped: threads that share them need not wait for each other.
     """
-    for n in range(row.size):
-        prefetch(out, row[min(n + AHEAD, row.size - 1)] - first)
-        m = row[n] - first
-        if row[n] >= 0 and 0 <= m < out.shape[0]:
+    for n in range(index.size):
+        prefetch(out, index[min(n + AHEAD, index.size - 1)] - first)
+        m = index[n] - first
+        if index[n] >= 0 and 0 <= m < out.shape[0]:
             for i in range(3):
                 for j in range(3):
                     out[m, i, j] += sign * a[n, i] * b[n, j]
@@ -135,7 +135,7 @@ def scale_tensors(tensor, divisor):
 
 
 @leaf
-def blank_rows_of_zeros(tensor, out):
+def blank_zero_tensors(tensor, out):
     """Write NaN to those tensors of `out` (n, 3, 3) whose twins in `tensor` are zero."""
     for n in range(tensor.shape[0]):
         largest = 0.0
@@ -147,19 +147,19 @@ def blank_rows_of_zeros(tensor, out):
 
 
 @leaf
-def add_unit_squares(row_i, row_j, along, out):
-    """Add n n of each contact to both its rows of out (m, 6): xx xy xz yy yz zz; negative rows are left out.
+def add_unit_squares(index_i, index_j, along, out):
+    """Add n n of each contact to both its particles in out (m, 6): xx xy xz yy yz zz; negative indices are left out.
 
     The unit vector n is that of `along` (n, 3); zero where that is zero.
     """
-    for n in range(row_i.size):
-        later = min(n + AHEAD, row_i.size - 1)
-        prefetch(out, row_i[later])
-        prefetch(out, row_j[later])
+    for n in range(index_i.size):
+        later = min(n + AHEAD, index_i.size - 1)
+        prefetch(out, index_i[later])
+        prefetch(out, index_j[later])
         x, y, z = along[n, 0], along[n, 1], along[n, 2]
         length2 = x * x + y * y + z * z
         per_length2 = 1.0 / length2 if length2 > 0.0 else 0.0
-        for m in (row_i[n], row_j[n]):
+        for m in (index_i[n], index_j[n]):
             if m >= 0:
                 out[m, 0] += x * x * per_length2
                 out[m, 1] += x * y * per_length2
@@ -170,38 +170,38 @@ def add_unit_squares(row_i, row_j, along, out):
 
 
 @leaf
-def side(position, row, point, n, period, lattice):
-    """Vector from contact point n to the centre of a row of `position`, zero where the row is negative.
+def side(position, index, point, n, period, lattice):
+    """Vector from contact point n to the centre of a particle, zero where its index is negative.
 
     Images follow from a `lattice`, or without it from periods along the axes.
     """
-    if row < 0:
+    if index < 0:
         return 0.0, 0.0, 0.0
-    x = position[row, 0] - point[n, 0]
-    y = position[row, 1] - point[n, 1]
-    z = position[row, 2] - point[n, 2]
+    x = position[index, 0] - point[n, 0]
+    y = position[index, 1] - point[n, 1]
+    z = position[index, 2] - point[n, 2]
     if lattice is not None:
         return nearest_of(x, y, z, lattice)
     return nearest_image(x, period[0]), nearest_image(y, period[1]), nearest_image(z, period[2])
 
 
 @leaf
-def sides(row, position, point, period, lattice, out):
-    """Write the vectors (n, 3) from contact points to the centres of some rows, see `side`."""
-    for n in range(row.size):
-        prefetch(position, row[min(n + AHEAD, row.size - 1)])
-        out[n, 0], out[n, 1], out[n, 2] = side(position, row[n], point, n, period, lattice)
+def sides(index, position, point, period, lattice, out):
+    """Write the vectors (n, 3) from contact points to the centres of particles, see `side`."""
+    for n in range(index.size):
+        prefetch(position, index[min(n + AHEAD, index.size - 1)])
+        out[n, 0], out[n, 1], out[n, 2] = side(position, index[n], point, n, period, lattice)
 
 
 @leaf
-def between(row_i, row_j, position, point, period, lattice, out):
+def between(index_i, index_j, position, point, period, lattice, out):
     """Write the vectors (n, 3) from j to i through the contact points: the side of i less that of j, see `side`."""
-    for n in range(row_i.size):
-        later = min(n + AHEAD, row_i.size - 1)
-        prefetch(position, row_i[later])
-        prefetch(position, row_j[later])
-        ax, ay, az = side(position, row_i[n], point, n, period, lattice)
-        bx, by, bz = side(position, row_j[n], point, n, period, lattice)
+    for n in range(index_i.size):
+        later = min(n + AHEAD, index_i.size - 1)
+        prefetch(position, index_i[later])
+        prefetch(position, index_j[later])
+        ax, ay, az = side(position, index_i[n], point, n, period, lattice)
+        bx, by, bz = side(position, index_j[n], point, n, period, lattice)
         out[n, 0], out[n, 1], out[n, 2] = ax - bx, ay - by, az - bz
 
 
@@ -217,24 +217,24 @@ _share_of_i = inlined(share_of_i)
 
 
 @leaf
-def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, out):
+def touching_points(index_i, index_j, position, diameter, data_branch, same, period, hair, out):
     """Write the points (n, 3) where spheres touch, up to the first pair that needs a closer look; return its number.
 
     Such a pair lacks a sphere; or its centres coincide; or it touches in other images as well; or
-    it has a side that is half a period long, to a share `hair` of that. Where branches (n, 3) were
-    `seen`, images are those nearest to them, and a pair needs a closer look if its branch is off by
-    more than a share `same` of its length.
+    it has a side that is half a period long, to a share `hair` of that. With the branches
+    (n, 3) of the data, images are those nearest to them, and a pair needs a closer look if its
+    branch is off by more than a share `same` of its length.
     """
-    for n in range(row_i.size):
-        later = min(n + AHEAD, row_i.size - 1)
-        prefetch(position, row_i[later])
-        prefetch(position, row_j[later])
-        i, j = row_i[n], row_j[n]
+    for n in range(index_i.size):
+        later = min(n + AHEAD, index_i.size - 1)
+        prefetch(position, index_i[later])
+        prefetch(position, index_j[later])
+        i, j = index_i[n], index_j[n]
         if i < 0 or j < 0:
             return n
         near_x, near_y, near_z = 0.0, 0.0, 0.0
-        if seen is not None:
-            near_x, near_y, near_z = seen[n, 0], seen[n, 1], seen[n, 2]
+        if data_branch is not None:
+            near_x, near_y, near_z = data_branch[n, 0], data_branch[n, 1], data_branch[n, 2]
         x = image_near(position[i, 0] - position[j, 0], near_x, period[0])
         y = image_near(position[i, 1] - position[j, 1], near_y, period[1])
         z = image_near(position[i, 2] - position[j, 2], near_z, period[2])
@@ -243,7 +243,7 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
         radius_j = diameter[j] / 2
         if length == 0.0:
             return n
-        if seen is None:
+        if data_branch is None:
             reach = max(length, radius_i + radius_j) * (1 + hair)
             if (
                 period[0] - abs(x) < reach
@@ -262,7 +262,7 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
             half = 0.5 * (1 - hair) * period[k]
             if abs(side) >= half or abs(side - along) >= half:
                 return n
-    return row_i.size
+    return index_i.size
 
 
 @inner

@@ -143,14 +143,14 @@ class Cells(NamedTuple):
 
     Attributes
     ----------
-    lower, step, shape : (3,)
-        Lowest edge, size and number of the cells. An axis with a step of infinity is not divided.
+    lower, size, shape : (3,)
+        Lowest edge, size and number of the cells. An axis with cells of infinite size is not divided.
     period : (3,)
         Period, infinity along axes that are not periodic.
     """
 
     lower: NDArray
-    step: NDArray
+    size: NDArray
     shape: NDArray
     period: NDArray
 
@@ -172,33 +172,33 @@ def add_shares(position, radius, values, group, cells, discs, corner, out):
     out : (groups, nx, ny, nz, k)
         Sums, which are added to.
     """
-    lower, step, shape, period = cells
+    lower, size, shape, period = cells
     full = _BALL
     if discs >= 0:
         full = math.pi
     for n in range(position.shape[0]):
         r = radius[n]
-        ix0, ix1 = _images(position[n, 0], r, lower[0], step[0], shape[0], period[0])
-        iy0, iy1 = _images(position[n, 1], r, lower[1], step[1], shape[1], period[1])
-        iz0, iz1 = _images(position[n, 2], r, lower[2], step[2], shape[2], period[2])
+        ix0, ix1 = _images(position[n, 0], r, lower[0], size[0], shape[0], period[0])
+        iy0, iy1 = _images(position[n, 1], r, lower[1], size[1], shape[1], period[1])
+        iz0, iz1 = _images(position[n, 2], r, lower[2], size[2], shape[2], period[2])
         for ix in range(ix0, ix1 + 1):
             x = image_of(position[n, 0], ix, period[0])
-            x0, x1 = _cells(x, r, lower[0], step[0], shape[0])
+            x0, x1 = _cells(x, r, lower[0], size[0], shape[0])
             for iy in range(iy0, iy1 + 1):
                 y = image_of(position[n, 1], iy, period[1])
-                y0, y1 = _cells(y, r, lower[1], step[1], shape[1])
+                y0, y1 = _cells(y, r, lower[1], size[1], shape[1])
                 for iz in range(iz0, iz1 + 1):
                     z = image_of(position[n, 2], iz, period[2])
-                    z0, z1 = _cells(z, r, lower[2], step[2], shape[2])
+                    z0, z1 = _cells(z, r, lower[2], size[2], shape[2])
                     ny, nz = y1 - y0 + 2, z1 - z0 + 2
                     for i in range(x0, x1 + 2):
-                        a = _face(i, x, r, lower[0], step[0])
+                        a = _face(i, x, r, lower[0], size[0])
                         for j in range(y0, y1 + 2):
-                            b = _face(j, y, r, lower[1], step[1])
+                            b = _face(j, y, r, lower[1], size[1])
                             for k in range(z0, z1 + 2):
-                                c = _face(k, z, r, lower[2], step[2])
-                                place = ((i - x0) * ny + j - y0) * nz + k - z0
-                                corner[place] = _beyond(a, b, c, discs)
+                                c = _face(k, z, r, lower[2], size[2])
+                                index = ((i - x0) * ny + j - y0) * nz + k - z0
+                                corner[index] = _beyond(a, b, c, discs)
                     for i in range(x1 - x0 + 1):
                         for j in range(y1 - y0 + 1):
                             for k in range(z1 - z0 + 1):
@@ -216,37 +216,37 @@ def add_shares(position, radius, values, group, cells, discs, corner, out):
 
 
 @inner
-def _images(x, r, lower, step, count, period):
+def _images(x, r, lower, size, count, period):
     """First and last periodic image that reaches the cells of an axis."""
-    if not step < np.inf:
+    if not size < np.inf:
         return 0, 0
-    return periodic_images(x, -r, r, lower, lower + step * count, period)
+    return periodic_images(x, -r, r, lower, lower + size * count, period)
 
 
 @inner
-def _cells(x, r, lower, step, count):
+def _cells(x, r, lower, size, count):
     """First and last cell of an axis that a grain may overlap; last below first for none."""
-    if not step < np.inf:
+    if not size < np.inf:
         return 0, 0
-    return max(0, math.floor((x - r - lower) / step)), min(
-        count - 1, math.floor((x + r - lower) / step)
+    return max(0, math.floor((x - r - lower) / size)), min(
+        count - 1, math.floor((x + r - lower) / size)
     )
 
 
 @inner
-def _face(k, x, r, lower, step):
-    """Place of the lower face of a cell relative to a grain, in its radii; of an axis that is not divided its ends."""
-    if not step < np.inf:
+def _face(k, x, r, lower, size):
+    """Return the lower face of a cell relative to a grain, in its radii; of an axis that is not divided its ends."""
+    if not size < np.inf:
         return -1.0 if k == 0 else 1.0
-    return (lower + k * step - x) / r
+    return (lower + k * size - x) / r
 
 
 # --- triangles of a surface ------------------------------------------------------------------------------
 
 
 @inner
-def _place(point, corner, place):
-    """Write the point of a triangle (3, 3) nearest to a point into `place`; after Ericson (2005), 5.1.5."""
+def _nearest_point(point, corner, foot):
+    """Write the point of a triangle (3, 3) nearest to a point into `foot`; after Ericson (2005), 5.1.5."""
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
         ab = corner[1, k] - corner[0, k]
@@ -276,13 +276,13 @@ def _place(point, corner, place):
     else:
         v, w = vb / (va + vb + vc), vc / (va + vb + vc)
     for k in range(3):
-        place[k] = (
+        foot[k] = (
             corner[0, k] + v * (corner[1, k] - corner[0, k]) + w * (corner[2, k] - corner[0, k])
         )
 
 
 @leaf
-def nearest(points, corners, normals, centre, radius, place, distance, triangle):
+def nearest(points, corners, normals, centre, radius, foot, distance, triangle):
     """Find the nearest triangle to each point, and the signed distance from it.
 
     Of triangles that are equally near, which meet at an edge or a corner, the one that faces the
@@ -295,7 +295,7 @@ def nearest(points, corners, normals, centre, radius, place, distance, triangle)
     corners, normals, centre, radius : (m, 3, 3), (m, 3), (m, 3), (m,)
         Triangles: corners, unit normals, centres, and distance of the farthest corner from the
         centre.
-    place : (3,)
+    foot : (3,)
         Scratch.
     distance, triangle : (n,)
         Distance, positive on the side of the normal, and number of the triangle; set here.
@@ -310,12 +310,12 @@ def nearest(points, corners, normals, centre, radius, place, distance, triangle)
                 away += (points[n, k] - centre[t, k]) ** 2
             if away**0.5 - radius[t] > least * (1.0 + _TIE):
                 continue
-            _place(points[n], corners[t], place)
+            _nearest_point(points[n], corners[t], foot)
             square = 0.0
             across = 0.0
             for k in range(3):
-                square += (points[n, k] - place[k]) ** 2
-                across += (points[n, k] - place[k]) * normals[t, k]
+                square += (points[n, k] - foot[k]) ** 2
+                across += (points[n, k] - foot[k]) * normals[t, k]
             away = square**0.5
             if away < least * (1.0 - _TIE) or (
                 away <= least * (1.0 + _TIE) and abs(across) > abs(facing)
@@ -390,7 +390,7 @@ def crossings(points, directions, reach, corners, centre, radius, out):
 
 
 @leaf
-def line_crossings(lines, corners, facing, count, place, is_open_below):
+def line_crossings(lines, corners, facing, count, crossings, is_open_below):
     """Find where parallel lines cross triangles.
 
     Parameters
@@ -403,7 +403,7 @@ def line_crossings(lines, corners, facing, count, place, is_open_below):
         Component of the unit normals along the lines.
     count : (n,)
         Number of crossings of each line, zero on entry; set here.
-    place : (n, k)
+    crossings : (n, k)
         Coordinates of the crossings along the lines, infinite (on entry) without one; further ones
         are only counted.
     is_open_below : (n,)
@@ -428,12 +428,12 @@ def line_crossings(lines, corners, facing, count, place, is_open_below):
                     + v * (corners[t, 1, 2] - corners[t, 0, 2])
                     + w * (corners[t, 2, 2] - corners[t, 0, 2])
                 )
-                if count[n] < place.shape[1]:
+                if count[n] < crossings.shape[1]:
                     is_first = True
                     for k in range(count[n]):
-                        is_first = is_first and height < place[n, k]
+                        is_first = is_first and height < crossings[n, k]
                     if is_first:
                         is_open_below[n] = facing[t] < 0.0
-                    place[n, count[n]] = height
+                    crossings[n, count[n]] = height
                 count[n] += 1
             n += 1

@@ -87,9 +87,9 @@ def _put_three(rows, first, n, values):
 
 
 @inlined
-def _one_if(known):
-    """Return 1 for what is known, else NaN."""
-    return 1.0 if known else np.nan
+def _one_if(condition):
+    """Return 1 where a condition holds, else NaN."""
+    return 1.0 if condition else np.nan
 
 
 @inner
@@ -246,10 +246,10 @@ def fit_rows(rows, first, found, many, flags):
         of_xx, of_yy, of_zz = along_active(c00, c11, c22, active)
         _put_three(rows, inverse, n, (of_xx, c01, c02))
         _put_three(rows, inverse + three, n, (of_yy, c12, of_zz))
-        known_x = _one_if(mass > 0.0 and (px > _SPANNED or not active[0]))
-        known_y = _one_if(mass > 0.0 and (py > _SPANNED or not active[1]))
-        known_z = _one_if(mass > 0.0 and (pz > _SPANNED or not active[2]))
-        _put_three(rows, determined, n, (known_x, known_y, known_z))
+        factor_x = _one_if(mass > 0.0 and (px > _SPANNED or not active[0]))
+        factor_y = _one_if(mass > 0.0 and (py > _SPANNED or not active[1]))
+        factor_z = _one_if(mass > 0.0 and (pz > _SPANNED or not active[2]))
+        _put_three(rows, determined, n, (factor_x, factor_y, factor_z))
         b0, b1, b2 = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         if mass > 0.0:
             u, v, w = _three(rows, momentum, n)
@@ -264,12 +264,12 @@ def fit_rows(rows, first, found, many, flags):
         _put_three(rows, gradient + three, n, g1)
         _put_three(rows, gradient + three + three, n, g2)
         # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
-        known = _one_if(rows[count, n] > rank + 1)
-        e00 = known * dot(g0, b0)
-        e01 = known * dot(g0, b1)
-        e02 = known * dot(g0, b2)
-        e11 = known * dot(g1, b1)
-        e12 = known * dot(g1, b2)
-        e22 = known * dot(g2, b2)
+        factor = _one_if(rows[count, n] > rank + 1)
+        e00 = factor * dot(g0, b0)
+        e01 = factor * dot(g0, b1)
+        e02 = factor * dot(g0, b2)
+        e11 = factor * dot(g1, b1)
+        e12 = factor * dot(g1, b2)
+        e22 = factor * dot(g2, b2)
         _put_three(rows, explained, n, (e00, e01, e02))
         _put_three(rows, explained + three, n, (e11, e12, e22))

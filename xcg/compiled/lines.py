@@ -298,7 +298,7 @@ def largest_error(
 ) -> float:
     """Largest error of a rule over node positions about a segment, relative to the segment's largest value.
 
-    Scans `rows` distances from the segment's line and 4 `rows` places along it (one row, h = 0,
+    Scans `rows` distances from the segment's line and 4 `rows` points along it (one row, h = 0,
     sees one dimension).
     """
     columns = 4 * max(rows, 32)

@@ -97,7 +97,7 @@ def _rotate(matrix, vectors, p, q, turns, cosine, sine):
 
 @inner
 def _descending(matrix, n):
-    """Places of the diagonal entries of matrix n from the largest to the smallest; all three, NaN or not."""
+    """Return the indices of the diagonal entries of matrix n, the largest first; all three, NaN or not."""
     first = 0
     for k in range(1, 3):
         if matrix[k, k, n] > matrix[first, first, n]:

@@ -252,28 +252,28 @@ def _grown(buffer, least):
 
 
 @jit
-def rows_of_pairs(left, right, row):
-    """Turn pairs of records into pairs of rows, the lower row `left`, in place; `row` (n,) is that of each record."""
+def order_pairs(left, right, original):
+    """Turn pairs of records into pairs of particles, the lower index left; `original` (n,) is that of each record."""
     for n in range(left.size):
-        i, j = row[left[n]], row[right[n]]
+        i, j = original[left[n]], original[right[n]]
         left[n] = min(i, j)
         right[n] = max(i, j)
 
 
 @jit
-def sort_pairs(low, high, rows, first, last, pairs):
-    """Write the pairs whose lower row is of a range to their places among all that are sorted, by both rows.
+def sort_pairs(low, high, particles, first, last, pairs):
+    """Write the pairs whose lower index is of a range to where they belong among all, sorted by both indices.
 
-    Two counting sorts, linear in rows + pairs.
+    Two counting sorts, linear in particles + pairs.
 
     Parameters
     ----------
     low, high : (m,)
-        Lower and higher row of all pairs.
-    rows : int
-        Number of rows.
+        Lower and higher index of all pairs.
+    particles : int
+        Number of particles.
     first, last : int
-        The range of lower rows.
+        The range of lower indices.
     pairs : (m, 2)
         Entries of the range are set here.
     """
@@ -291,7 +291,7 @@ def sort_pairs(low, high, rows, first, last, pairs):
             own_low[count] = low[n] - first
             own_high[count] = high[n]
             count += 1
-    sort_by_key(own_high, np.zeros(rows + 1, np.int64), order)
+    sort_by_key(own_high, np.zeros(particles + 1, np.int64), order)
     low_by_high = np.empty(count, low.dtype)
     high_by_high = np.empty(count, low.dtype)
     for n in range(count):

@@ -51,7 +51,7 @@ SQUARE_SPREAD = 33  # (m Psi)^2 x x: xx xy xz yy yz zz
 SQUARES = (SQUARE, *range(SQUARE_OFFSET, SQUARE_SPREAD + 6))
 
 # what a grain's record holds
-PLACE = 0
+POSITION = 0
 SPEED = 3
 WEIGHED = 6
 GROUP = 7
@@ -88,7 +88,7 @@ class Grains(NamedTuple):
     phase : (n,)
         Which group each grain belongs to.
     origin, cutoff : tuple, float
-        Place of the first node, and radius of the support, in the unit of `position`. All other
+        Position of the first node, and radius of the support, in the unit of `position`. All other
         lengths are in cutoffs.
     """
 
@@ -160,12 +160,12 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
         for i in range(listed.size):
             p = np.uint64(records[i, GROUP])
             x0, y0, z0 = along_active(
-                records[i, PLACE], records[i, PLACE + 1], records[i, PLACE + 2], active
+                records[i, POSITION], records[i, POSITION + 1], records[i, POSITION + 2], active
             )
-            place = (x0, y0, z0)
-            first_x, last_x = images_in_reach(0, place, NO_BRANCH, nodes)
-            first_y, last_y = images_in_reach(1, place, NO_BRANCH, nodes)
-            first_z, last_z = images_in_reach(2, place, NO_BRANCH, nodes)
+            start = (x0, y0, z0)
+            first_x, last_x = images_in_reach(0, start, NO_BRANCH, nodes)
+            first_y, last_y = images_in_reach(1, start, NO_BRANCH, nodes)
+            first_z, last_z = images_in_reach(2, start, NO_BRANCH, nodes)
             if first_x > last_x or first_y > last_y or first_z > last_z:
                 continue
             for image_x in range(first_x, last_x + 1):
@@ -197,17 +197,17 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
 
 
 @inner
-def _list_grains(rows, grains, records):
+def _list_grains(indices, grains, records):
     """Gather the rows of some grains, spread over memory, all requested at once."""
     per_cutoff = 1.0 / grains.cutoff
     origin = grains.origin
     position = grains.position
     velocity = grains.velocity
     constants = grains.constants
-    for i in range(rows.size):
-        n = rows[i]
+    for i in range(indices.size):
+        n = indices[i]
         for k in range(3):
-            records[i, PLACE + k] = (position[n, k] - origin[k]) * per_cutoff
+            records[i, POSITION + k] = (position[n, k] - origin[k]) * per_cutoff
             records[i, SPEED + k] = velocity[n, k]
         records[i, WEIGHED] = grains.mass[n]
         records[i, GROUP] = grains.phase[n]

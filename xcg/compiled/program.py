@@ -31,19 +31,21 @@ _OF_NUMBER = np.dtype("float64").itemsize
 
 
 def room_for(rows: int) -> NDArray:
-    """Make zeros (rows, TILE) that begin with a line of the cache: all steps take a seventh longer across two lines."""
+    """Make zeros (rows, TILE) that begin with a cache line: a program takes a seventh longer across two lines."""
     spare = np.zeros(rows * TILE + _LINE // _OF_NUMBER)
     first = -spare.ctypes.data % _LINE // _OF_NUMBER
     return spare[first : first + rows * TILE].reshape(rows, TILE)
 
 
 @leaf
-def run(steps, records, columns, source, fields, stores, target, place, order, tile, scratch):
-    """Do the steps of a program for all nodes.
+def run(
+    instructions, records, columns, source, fields, stores, target, index, order, tile, scratch
+):
+    """Run the instructions of a program for all nodes.
 
     Parameters
     ----------
-    steps : (n, 4)
+    instructions : (n, 4)
         Operation, result and operands.
     records : tuple of (nodes * width,)
         Arrays of sums, node by node; more than there are `columns` of are not read.
@@ -51,15 +53,15 @@ def run(steps, records, columns, source, fields, stores, target, place, order, t
         Width of each, and the row of the scratch where its columns begin.
     source : (loads, 2)
         Row of the column of each load, and the row of a factor.
-    fields : tuple of (places * width,)
-        Written: the fields, place by place.
+    fields : tuple of (nodes * width,)
+        Written: the fields, node by node.
     stores : (stores, 4)
         Number of the field of each store, its first component, the numbers that the field holds for
-        a place, and how many components are stored: 1, 3 or 9.
+        a node, and how many components are stored: 1, 3 or 9.
     target : (stores, 9)
         Rows of the components.
-    place : (nodes,)
-        Place of each node in the fields, in the order in which nodes are taken.
+    index : (nodes,)
+        Index of each node in the fields, in the order in which nodes are taken.
     order : (nodes,) or None
         Which record is that of each node; None where records are in that order, which leaves code
         out.
@@ -69,25 +71,25 @@ def run(steps, records, columns, source, fields, stores, target, place, order, t
         Holds constants and factors.
     """
     unread = 0.0
-    for first in range(0, place.size, TILE):
-        many = min(TILE, place.size - first)
+    for first in range(0, index.size, TILE):
+        many = min(TILE, index.size - first)
         for n in range(columns.shape[0]):
             numbers = records[n]
             width = columns[n, 0]
             row = columns[n, 1]
             if order is None:
-                unread += _transpose_records(numbers, width, row, first, many, place.size, scratch)
+                unread += _transpose_records(numbers, width, row, first, many, index.size, scratch)
             else:
                 unread += _gather_records(numbers, width, order, first, many, tile)
                 _transpose_records(tile, width, row, 0, many, TILE + EIGHT, scratch)
-        for step in range(steps.shape[0]):
-            operation = steps[step, 0]
-            r = steps[step, 1]
-            a = steps[step, 2]
-            b = steps[step, 3]
+        for k in range(instructions.shape[0]):
+            operation = instructions[k, 0]
+            r = instructions[k, 1]
+            a = instructions[k, 2]
+            b = instructions[k, 3]
             if operation == STORE:
                 field = fields[stores[r, 0]]
-                _store(field, stores[r], target[r], place, first, many, scratch)
+                _store(field, stores[r], target[r], index, first, many, scratch)
             elif operation == FIT:
                 fit_rows(scratch, a, r, many, b)
             elif operation == LOAD:
@@ -127,25 +129,25 @@ def _combine(operation, rows, to, a, b):
 
 
 @inner
-def _store(field, store, rows, place, first, many, scratch):
-    """Write the components of a field, 1, 3 or 9 of the numbers that it holds for a place, from their rows."""
+def _store(field, store, rows, index, first, many, scratch):
+    """Write the components of a field, 1, 3 or 9 of the numbers that it holds for a node, from their rows."""
     begin = store[1]
     width = store[2]
     components = store[3]
     if components < width:  # of one phase of several, which leaves gaps
         for k in range(many):
-            to = width * place[first + k] + begin
+            to = width * index[first + k] + begin
             for c in range(components):
                 field[to + c] = scratch[rows[c], k]
         return
     x, y, z = rows[0], rows[1], rows[2]
     if components == 1:
         for k in range(many):
-            stream(field, place[first + k], (scratch[x, k],))
+            stream(field, index[first + k], (scratch[x, k],))
     elif components == 3:
         for k in range(many):
             vector = (scratch[x, k], scratch[y, k], scratch[z, k])
-            stream(field, components * place[first + k], vector)
+            stream(field, components * index[first + k], vector)
     else:
         yx, yy, yz = rows[3], rows[4], rows[5]
         zx, zy, zz = rows[6], rows[7], rows[8]
@@ -155,7 +157,7 @@ def _store(field, store, rows, place, first, many, scratch):
                 scratch[yx, k], scratch[yy, k], scratch[yz, k],
                 scratch[zx, k], scratch[zy, k], scratch[zz, k],
             )  # fmt: skip
-            stream(field, components * place[first + k], tensor)
+            stream(field, components * index[first + k], tensor)
 
 
 @inner

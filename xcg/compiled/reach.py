@@ -51,7 +51,7 @@ class BlockNodes(NamedTuple):
     Attributes
     ----------
     begin, end : tuple of float
-        Places of the lowest and the highest node.
+        Positions of the lowest and the highest node.
     active : tuple of bool
         Whether distance along an axis counts.
     period : tuple of float
@@ -83,8 +83,8 @@ class Rows(NamedTuple):
 
     low: tuple[int, int, int]
     high: tuple[int, int, int]
-    steps: tuple[float, float, float]
-    per_steps: tuple[float, float, float]
+    spacings: tuple[float, float, float]
+    per_spacings: tuple[float, float, float]
 
 
 class Lists(NamedTuple):
@@ -106,22 +106,22 @@ def periodic_images(x, low, high, first, last, period):
 
 
 @inlined
-def images_in_reach(k, place, branch, nodes):
+def images_in_reach(k, start, branch, nodes):
     """First and last periodic image, along axis k, of a segment that is closer than 1 to a block of nodes.
 
-    A place is a segment without a branch. Along axes that do not count both are zero.
+    A point is a segment without a branch. Along axes that do not count both are zero.
     """
     reach = 1.0 * nodes.active[k]
     lowest = min(0.0, branch[k]) - reach
     highest = max(0.0, branch[k]) + reach
-    return periodic_images(place[k], lowest, highest, nodes.begin[k], nodes.end[k], nodes.period[k])
+    return periodic_images(start[k], lowest, highest, nodes.begin[k], nodes.end[k], nodes.period[k])
 
 
 @inner
-def node_range(low, high, per_step, begin, end):
+def node_range(low, high, per_spacing, begin, end):
     """First and one past the last of the nodes begin, ... end - 1 that lie within [low, high]."""
-    first = max(begin, math.ceil(low * per_step))
-    return first, max(first, min(end, math.floor(high * per_step) + 1))
+    first = max(begin, math.ceil(low * per_spacing))
+    return first, max(first, min(end, math.floor(high * per_spacing) + 1))
 
 
 @leaf
@@ -137,12 +137,12 @@ def lists_for(
 
     The integers come with tables of the indices of the nodes of a row and of the rows of a plane.
     """
-    low, high, steps, _ = rows
+    low, high, spacings, _ = rows
     most = 1
-    for first, end, far, step, counts in zip(low, high, reach, steps, active, strict=True):
+    for first, end, far, spacing, counts in zip(low, high, reach, spacings, active, strict=True):
         reached = 2
         if counts:
-            reached += int(far / step)
+            reached += int(far / spacing)
         # no more than there are: along an axis with one node the spacing means nothing
         most *= min(end - first, reached)
     room = padded(most) + PAD
@@ -173,20 +173,20 @@ def nodes_in_ball(x, y, z, rows, lists):
     """
     if rows is None:
         return 0
-    low, high, steps, per_steps = rows
+    low, high, spacings, per_spacings = rows
     values = lists.values
     numbers = lists.numbers
-    x0, x1 = node_range(x - 1.0, x + 1.0, per_steps[0], low[0], high[0])
-    y0, y1 = node_range(y - 1.0, y + 1.0, per_steps[1], low[1], high[1])
-    z0, z1 = node_range(z - 1.0, z + 1.0, per_steps[2], low[2], high[2])
+    x0, x1 = node_range(x - 1.0, x + 1.0, per_spacings[0], low[0], high[0])
+    y0, y1 = node_range(y - 1.0, y + 1.0, per_spacings[1], low[1], high[1])
+    z0, z1 = node_range(z - 1.0, z + 1.0, per_spacings[2], low[2], high[2])
     ny, nz = high[1] - low[1], high[2] - low[2]
     for j in range(0, y1 - y0, EIGHT):
-        ramp8(values, OF_Y, OF_Y2, j, y0 + j, steps[1], y, -1.0)
+        ramp8(values, OF_Y, OF_Y2, j, y0 + j, spacings[1], y, -1.0)
     for j in range(0, z1 - z0, EIGHT):
-        ramp8(values, OF_Z, OF_Z2, j, z0 + j, steps[2], z, -1.0)
+        ramp8(values, OF_Z, OF_Z2, j, z0 + j, spacings[2], z, -1.0)
     count = 0
     for ix in range(x0, x1):
-        dx = x - ix * steps[0]
+        dx = x - ix * spacings[0]
         begin = ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         for j in range(0, y1 - y0, EIGHT):
             fill8(values, ROW_X, count + j, dx)
@@ -195,13 +195,13 @@ def nodes_in_ball(x, y, z, rows, lists):
         count += y1 - y0
     lowest = float(z0)
     highest = float(z1 - 1)
-    per_step = per_steps[2]
+    per_spacing = per_spacings[2]
     for k in range(padded(count)):
         dx, dy = values[ROW_X, k], values[ROW_Y, k]
         row2 = dx * dx + dy * dy
         half = math.sqrt(max(0.0, 1.0 - row2))
-        begin = max(lowest, np.ceil((z - half) * per_step))
-        end = min(highest, np.floor((z + half) * per_step) if row2 < 1.0 else lowest - 1.0)
+        begin = max(lowest, np.ceil((z - half) * per_spacing))
+        end = min(highest, np.floor((z + half) * per_spacing) if row2 < 1.0 else lowest - 1.0)
         values[ROW2, k] = row2
         numbers[FIRST, k] = np.int32(max(0.0, min(highest, begin) - lowest))  # within the tables
         numbers[MANY, k] = np.int32(max(0.0, end - begin + 1.0))
@@ -255,17 +255,17 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     """
     if rows is None:
         return 0
-    low, high, steps, per_steps = rows
+    low, high, spacings, per_spacings = rows
     values = lists.values
     numbers = lists.numbers
     x0, x1 = node_range(
-        x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0]
+        x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_spacings[0], low[0], high[0]
     )
     y0, y1 = node_range(
-        y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, per_steps[1], low[1], high[1]
+        y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, per_spacings[1], low[1], high[1]
     )
     z0, z1 = node_range(
-        z + min(0.0, bz) - 1.0, z + max(0.0, bz) + 1.0, per_steps[2], low[2], high[2]
+        z + min(0.0, bz) - 1.0, z + max(0.0, bz) + 1.0, per_spacings[2], low[2], high[2]
     )
     across2 = bx * bx + by * by
     # how far u moves from the nearest point of the line for each unit of half chord
@@ -280,24 +280,24 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     two = real(2.0)
     # nodes are counted from the one below the start, so that few digits are enough, and the same
     # whatever the box
-    base_y = math.floor(y * per_steps[1])
-    base_z = math.floor(z * per_steps[2])
-    y = real(y - base_y * steps[1])
-    step_y = real(steps[1])
+    base_y = math.floor(y * per_spacings[1])
+    base_z = math.floor(z * per_spacings[2])
+    y = real(y - base_y * spacings[1])
+    spacing_y = real(spacings[1])
     by = real(by)
-    z = real(z - base_z * steps[2])
-    step_z = real(steps[2])
-    per_step = real(per_steps[2])
+    z = real(z - base_z * spacings[2])
+    spacing_z = real(spacings[2])
+    per_spacing = real(per_spacings[2])
     ez = real(bz * per_length)
     per_length = real(per_length)
     ny, nz = high[1] - low[1], high[2] - low[2]
     for j in range(0, y1 - y0, EIGHT):
-        ramp8(values, OF_Y, OF_Y2, j, y0 - base_y + j, step_y, y, by)
+        ramp8(values, OF_Y, OF_Y2, j, y0 - base_y + j, spacing_y, y, by)
     for j in range(0, z1 - z0, EIGHT):
-        ramp8(values, OF_Z, OF_Z2, j, z0 - base_z + j, step_z, z, ez)
+        ramp8(values, OF_Z, OF_Z2, j, z0 - base_z + j, spacing_z, z, ez)
     count = 0
     for ix in range(x0, x1):
-        dx = ix * steps[0] - x
+        dx = ix * spacings[0] - x
         begin = ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         dx2 = real(dx * dx)
         dx_dot = real(dx * bx)
@@ -322,8 +322,8 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
         lower = min(one, max(zero, u - move))
         rest_upper = one - (row2 + upper * (upper * c2 - two * dot))
         rest_lower = one - (row2 + lower * (lower * c2 - two * dot))
-        top = np.floor((z + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
-        bottom = np.ceil((z + lower * rise - np.sqrt(max(zero, rest_lower))) * per_step)
+        top = np.floor((z + upper * rise + np.sqrt(max(zero, rest_upper))) * per_spacing)
+        bottom = np.ceil((z + lower * rise - np.sqrt(max(zero, rest_lower))) * per_spacing)
         begin = max(lowest, bottom)
         end = min(highest, top if rest_upper > zero else lowest - one)
         numbers[FIRST, k] = np.int32(max(zero, min(highest, begin) - lowest))  # within the tables
@@ -348,24 +348,24 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
 
 
 @leaf
-def _bounds_of_batches(position, rows, bounds):
-    for n in range(rows.size):
+def _bounds_of_batches(position, indices, bounds):
+    for n in range(indices.size):
         batch = bounds[n // BATCH]
         for k in range(3):
-            x = position[rows[n], k]
+            x = position[indices[n], k]
             batch[0, k] = min(x, batch[0, k])
             batch[1, k] = max(x, batch[1, k])
 
 
-def batches_of(position: NDArray, rows: NDArray) -> NDArray:
-    """Lowest and highest place, (runs, 2, 3), of each run of `BATCH` rows of positions (n, 3)."""
-    bounds = no_bounds(len(rows), BATCH)
-    _bounds_of_batches(position, rows, bounds)
+def batches_of(position: NDArray, indices: NDArray) -> NDArray:
+    """Lowest and highest position, (runs, 2, 3), of each run of `BATCH` indices of positions (n, 3)."""
+    bounds = no_bounds(len(indices), BATCH)
+    _bounds_of_batches(position, indices, bounds)
     return bounds
 
 
 def no_bounds(count: int, run: int) -> NDArray:
-    """Bounds (runs, 2, 3) of the runs of so many places before any is known."""
+    """Bounds (runs, 2, 3) of the runs of so many points before any is widened."""
     bounds = np.empty((-(-count // run), 2, 3))
     bounds[:, 0], bounds[:, 1] = np.inf, -np.inf
     return bounds

@@ -29,7 +29,7 @@ class Rings(NamedTuple):
     angle, cosine, sine, share : (a,)
         Angles, which rise on each ring, and their shares of its average.
     where : (a,)
-        Row of each angle in arrays that are sorted in space.
+        Index of each angle in arrays that are sorted in space.
     """
 
     place: NDArray
@@ -52,12 +52,12 @@ class Flow(NamedTuple):
 
 
 @leaf
-def ring_references(given, rings, turns, mean, difference):
+def ring_references(velocity, rings, turns, mean, difference):
     """Average a velocity over the angles of each ring, where it is not NaN.
 
     Parameters
     ----------
-    given : array (a, 3)
+    velocity : array (a, 3)
         Velocities, sorted in space.
     rings : Rings
     turns : bool
@@ -69,22 +69,22 @@ def ring_references(given, rings, turns, mean, difference):
     for n in range(mean.shape[0]):
         total = x = y = z = 0.0
         for k in range(rings.start[n], rings.start[n + 1]):
-            row = rings.where[k]
+            index = rings.where[k]
             share = rings.share[k]
-            first = given[row, 0]
-            second = given[row, 1]
+            first = velocity[index, 0]
+            second = velocity[index, 1]
             if turns:
                 c = rings.cosine[k]
                 s = rings.sine[k]
                 first, second = c * first + s * second, c * second - s * first
             difference[k, 0] = first
             difference[k, 1] = second
-            difference[k, 2] = given[row, 2]
+            difference[k, 2] = velocity[index, 2]
             if math.isfinite(first):
                 total += share
                 x += share * first
                 y += share * second
-                z += share * given[row, 2]
+                z += share * velocity[index, 2]
         mean[n, 0] = x / total
         mean[n, 1] = y / total
         mean[n, 2] = z / total
@@ -198,7 +198,7 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
     Parameters
     ----------
     grains : tuple of arrays (n, 3), (n,), (n,)
-        Places relative to the axis, weights and groups.
+        Positions relative to the axis, weights and groups.
     kernel : KernelCode
     cutoff : float
         Radius of the support (m).
@@ -250,7 +250,7 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
                 if high < rings.angle[first] or low > rings.angle[last - 1]:
                     continue
                 k = first + np.searchsorted(rings.angle[first:last], low)
-                # at the far side both ends of the range are one place
+                # at the far side both ends of the range are one point
                 while k < last and (
                     rings.angle[k] < high or (half < math.pi and rings.angle[k] <= high)
                 ):

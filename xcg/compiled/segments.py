@@ -38,7 +38,7 @@ RULES = (2, 4, 6, 8, 10, 12)
 # Branches closer to one line than this (sine of their angle) share one segment from centre to
 # centre; the contact point is then off that line by no more than the rounding of its coordinates.
 COLLINEAR = 1e-12
-# Contacts so many places ahead are prefetched, and the particles of those that are nearer.
+# Contacts so many ahead are prefetched, and the particles of those that are nearer.
 FAR_AHEAD = 24
 AHEAD = 8
 # what a segment's record holds
@@ -66,12 +66,12 @@ def choose_order(length, limits):
 
 
 class ContactRows(NamedTuple):
-    """Contacts by the rows of their particles.
+    """Contacts by the indices of their particles.
 
     Attributes
     ----------
     row_i, row_j : (n,)
-        Particles of each contact; negative where a partner has no row.
+        Particles of each contact; negative where a partner is not in the scene.
     point : (n, 3)
         Contact point.
     on_i : (n, 3)
@@ -86,8 +86,8 @@ class ContactRows(NamedTuple):
         Periodic images of boxes with other edges than x, y and z.
     """
 
-    row_i: NDArray
-    row_j: NDArray
+    index_i: NDArray
+    index_j: NDArray
     point: NDArray
     on_i: NDArray
     on_j: NDArray | None
@@ -107,7 +107,7 @@ class SegmentChoice(NamedTuple):
     second : bool
         Whether the segments of the partners are wanted.
     others : int
-        0, or the number of phases of partners, the last one for partners that are no row: groups
+        0, or the number of phases of partners, the last one for partners not in the scene: groups
         are then phases by phases of the partner.
     cutoffs : (phases,)
         Cutoff of the sides of each phase.
@@ -126,7 +126,7 @@ class SegmentChoice(NamedTuple):
 
 
 @leaf
-def list_segments(listing, rows, segments, bounds, longest):
+def list_segments(listing, indices, segments, bounds, longest):
     """List one segment for each of some contacts: of its first particle that is there, or `second`, of its partner.
 
     Without `segments` they are only measured. None leaves code out when the loop is compiled, here
@@ -140,7 +140,7 @@ def list_segments(listing, rows, segments, bounds, longest):
     ----------
     listing : SegmentChoice
         The contacts, and which of their segments are wanted.
-    rows : (k,)
+    indices : (k,)
         Which contacts, in the order of the list.
     segments : (k, SEGMENT) or None
         Written: START, BRANCH from the segment's end to its start, and FORCE on the particle (or
@@ -161,16 +161,16 @@ def list_segments(listing, rows, segments, bounds, longest):
     phase = contacts.phase
     per_cutoff = 1.0 / cutoff
     more = False
-    last = rows.size - 1
+    last = indices.size - 1
     most = (0.0, 0.0, 0.0, 0.0)
     alone = cutoffs.size == 1  # phases are not looked at where there is one
-    for k in range(rows.size):
-        far = rows[min(k + FAR_AHEAD, last)]
+    for k in range(indices.size):
+        far = indices[min(k + FAR_AHEAD, last)]
         if segments is not None:
             prefetch(contacts.on_i, far)
             segments[k, GROUP] = -1.0
-        _prefetch(contacts, far, rows[min(k + AHEAD, last)], alone)
-        n = np.int64(rows[k])
+        _prefetch(contacts, far, indices[min(k + AHEAD, last)], alone)
+        n = np.int64(indices[k])
         i, j, two, ax, ay, az = _side(contacts, n, second, alone)
         more = more or two
         if i < 0 or (second and not two) or (not alone and cutoffs[phase[i]] != cutoff):
@@ -187,7 +187,7 @@ def list_segments(listing, rows, segments, bounds, longest):
             segments[k, BRANCH] = x
             segments[k, BRANCH + 1] = y
             segments[k, BRANCH + 2] = z
-            of_j = second or contacts.row_i[n] < 0
+            of_j = second or contacts.index_i[n] < 0
             _write_carried(segments, k, contacts.on_i, contacts.on_j, n, of_j, cutoff)
             segments[k, GROUP] = 0.0
             if not alone:
@@ -208,14 +208,14 @@ def list_segments(listing, rows, segments, bounds, longest):
 @inlined
 def _prefetch(contacts, far, later, alone):
     """Ask for a contact, and for the particles of another one, which was asked for before."""
-    prefetch(contacts.row_i, far)
-    prefetch(contacts.row_j, far)
+    prefetch(contacts.index_i, far)
+    prefetch(contacts.index_j, far)
     prefetch(contacts.point, far)
-    prefetch(contacts.position, contacts.row_i[later])
-    prefetch(contacts.position, contacts.row_j[later])
+    prefetch(contacts.position, contacts.index_i[later])
+    prefetch(contacts.position, contacts.index_j[later])
     if not alone:
-        prefetch(contacts.phase, contacts.row_i[later])
-        prefetch(contacts.phase, contacts.row_j[later])
+        prefetch(contacts.phase, contacts.index_i[later])
+        prefetch(contacts.phase, contacts.index_j[later])
 
 
 @inlined
@@ -224,8 +224,8 @@ def _side(contacts, n, second, alone):
 
     `alone`: there is one phase.
     """
-    row_i, row_j, point, _, on_j, position, phase, wrap, lattice = contacts
-    i, j = row_i[n], row_j[n]
+    index_i, index_j, point, _, on_j, position, phase, wrap, lattice = contacts
+    i, j = index_i[n], index_j[n]
     ax, ay, az = side(position, i, point, n, wrap, lattice)
     bx, by, bz = side(position, j, point, n, wrap, lattice)
     two = i >= 0 and j >= 0
@@ -298,7 +298,7 @@ def _bounds_of_segments(records, bounds):
 
 
 def bounds_of_segments(records: NDArray) -> NDArray:
-    """Lowest and highest place, (runs, 2, 3), of each run of `RUN` segments."""
+    """Lowest and highest point, (runs, 2, 3), of each run of `RUN` segments."""
     bounds = no_bounds(len(records), RUN)
     _bounds_of_segments(records, bounds)
     return bounds
@@ -371,11 +371,11 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
         bx, by, bz = along_active(
             -records[i, BRANCH], -records[i, BRANCH + 1], -records[i, BRANCH + 2], active
         )
-        place = (x0, y0, z0)
+        start = (x0, y0, z0)
         branch = (bx, by, bz)
-        first_x, last_x = images_in_reach(0, place, branch, nodes)
-        first_y, last_y = images_in_reach(1, place, branch, nodes)
-        first_z, last_z = images_in_reach(2, place, branch, nodes)
+        first_x, last_x = images_in_reach(0, start, branch, nodes)
+        first_y, last_y = images_in_reach(1, start, branch, nodes)
+        first_z, last_z = images_in_reach(2, start, branch, nodes)
         if first_x > last_x or first_y > last_y or first_z > last_z:
             continue
         length = math.sqrt(bx * bx + by * by + bz * bz)

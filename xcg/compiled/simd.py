@@ -6,8 +6,8 @@ does, and runs where nothing is compiled (``NUMBA_DISABLE_JIT=1``, to step throu
 debugger); the function in front of it, of the same name with an underscore, writes the instructions
 that compiled code has in its place. Both give the same bits.
 
-Compiled code checks places only where ``NUMBA_BOUNDSCHECK=1`` is set, and never what `prefetch` is
-asked for: places must lie within the array.
+Compiled code checks indices only where ``NUMBA_BOUNDSCHECK=1`` is set, and never what `prefetch` is
+asked for: indices must lie within the array.
 """
 
 import math
@@ -46,18 +46,18 @@ def compiled_as(emit: Callable) -> Callable:
 
 
 def pointer_to(context, builder, array_type, array, indices, lanes):
-    """Pointer to `lanes` numbers of a C-contiguous array, from a place on, and the alignment of one of them."""
+    """Pointer to `lanes` numbers of a C-contiguous array, from indices on, and the alignment of one of them."""
     view = context.make_array(array_type)(context, builder, array)
     shape = cgutils.unpack_tuple(builder, view.shape)
     if config.BOUNDSCHECK:
         last = builder.add(indices[-1], ir.Constant(ir.IntType(64), lanes - 1))
         for index, extent in zip([*indices, last], [*shape, shape[-1]], strict=True):
             cgutils.do_boundscheck(context, builder, index, extent)
-    place = indices[0]
+    flat = indices[0]
     for index, extent in zip(indices[1:], shape[1:], strict=True):
-        place = builder.add(builder.mul(place, extent), index)
+        flat = builder.add(builder.mul(flat, extent), index)
     number = context.get_data_type(array_type.dtype)
-    pointer = builder.gep(view.data, [place])
+    pointer = builder.gep(view.data, [flat])
     return builder.bitcast(
         pointer, ir.VectorType(number, lanes).as_pointer()
     ), context.get_abi_sizeof(number)
@@ -72,24 +72,24 @@ def vector_of(builder, values):
 
 
 def typed(context, builder, signature, args):
-    """Arguments by number, cast to what the array holds: places to 64 bits, values to the array's numbers."""
+    """Arguments by number, cast: indices to 64 bits, values to the type of the array."""
 
-    def place(k):
+    def index_of(k):
         return context.cast(builder, args[k], signature.args[k], types.uint64)
 
     def value(k):
         return context.cast(builder, args[k], signature.args[k], signature.args[0].dtype)
 
-    return place, value
+    return index_of, value
 
 
 def pointers(context, builder, signature, args):
     """Pointers to numbers of the array, see `pointer_to`, by the numbers of the arguments that are its indices."""
-    place, _ = typed(context, builder, signature, args)
+    index_of, _ = typed(context, builder, signature, args)
 
     def pointer(indices, lanes):
-        places = [place(k) for k in indices]
-        return pointer_to(context, builder, signature.args[0], args[0], places, lanes)
+        numbers = [index_of(k) for k in indices]
+        return pointer_to(context, builder, signature.args[0], args[0], numbers, lanes)
 
     return pointer
 
@@ -155,31 +155,33 @@ def add_scalar8(lists, row, at, value, table, first):
     lists[row, at : at + EIGHT] = lists.dtype.type(value) + lists[table, first : first + EIGHT]
 
 
-def _ramp8(typingctx, lists, to, squares, at, first, step, origin, factor):
+def _ramp8(typingctx, lists, to, squares, at, first, spacing, origin, factor):
     def generate(context, builder, signature, args):
         _, number = typed(context, builder, signature, args)
         pointer = pointers(context, builder, signature, args)
         target, align = pointer((1, 3), EIGHT)
         square, _ = pointer((2, 3), EIGHT)
-        begin, step, origin, factor = (vector_of(builder, [number(k)] * EIGHT) for k in range(4, 8))
+        begin, spacing, origin, factor = (
+            vector_of(builder, [number(k)] * EIGHT) for k in range(4, 8)
+        )
         vector = ir.VectorType(context.get_data_type(lists.dtype), EIGHT)
         ramp = ir.Constant(vector, [float(k) for k in range(EIGHT)])
-        d = builder.fsub(builder.fmul(builder.fadd(begin, ramp), step), origin)
+        d = builder.fsub(builder.fmul(builder.fadd(begin, ramp), spacing), origin)
         builder.store(builder.fmul(factor, d), target, align=align)
         builder.store(builder.fmul(d, d), square, align=align)
         return context.get_dummy_value()
 
-    return types.void(lists, to, squares, at, first, step, origin, factor), generate
+    return types.void(lists, to, squares, at, first, spacing, origin, factor), generate
 
 
 @compiled_as(_ramp8)
-def ramp8(lists, to, squares, at, first, step, origin, factor):
+def ramp8(lists, to, squares, at, first, spacing, origin, factor):
     """Write d = (first + k) step - origin, times a factor, and its square, for k = 0, ... 7.
 
     ``lists[to, at + k] = factor * d`` and ``lists[squares, at + k] = d * d``.
     """
     real = lists.dtype.type
-    d = (real(first) + np.arange(EIGHT, dtype=real)) * real(step) - real(origin)
+    d = (real(first) + np.arange(EIGHT, dtype=real)) * real(spacing) - real(origin)
     lists[to, at : at + EIGHT] = real(factor) * d
     lists[squares, at : at + EIGHT] = d * d
 
@@ -206,10 +208,12 @@ def prefetch(array, row):
 
 def _transpose8x8(typingctx, numbers, first, apart, rows, row, at):
     def generate(context, builder, signature, args):
-        place, _ = typed(context, builder, signature, args)
+        index_of, _ = typed(context, builder, signature, args)
         vectors = []
         for k in range(EIGHT):
-            index = builder.add(place(1), builder.mul(place(2), ir.Constant(ir.IntType(64), k)))
+            index = builder.add(
+                index_of(1), builder.mul(index_of(2), ir.Constant(ir.IntType(64), k))
+            )
             source, align = pointer_to(context, builder, signature.args[0], args[0], [index], EIGHT)
             vectors.append(builder.load(source, align=align))
         half = EIGHT // 2
@@ -226,9 +230,9 @@ def _transpose8x8(typingctx, numbers, first, apart, rows, row, at):
                 for k in range(EIGHT)
             ]
         for c, vector in enumerate(vectors):
-            row = builder.add(place(4), ir.Constant(ir.IntType(64), c))
+            row = builder.add(index_of(4), ir.Constant(ir.IntType(64), c))
             pointer, align = pointer_to(
-                context, builder, signature.args[3], args[3], [row, place(5)], EIGHT
+                context, builder, signature.args[3], args[3], [row, index_of(5)], EIGHT
             )
             builder.store(vector, pointer, align=align)
         return context.get_dummy_value()
@@ -248,11 +252,11 @@ def transpose8x8(numbers, first, apart, rows, row, at):
 
 def _stream(typingctx, array, at, values):
     def generate(context, builder, signature, args):
-        bits = ir.IntType(64)  # of vectors the place would have to be aligned
+        bits = ir.IntType(64)  # of vectors the pointer would have to be aligned
         once = builder.module.add_metadata([ir.Constant(ir.IntType(32), 1)])
-        place, _ = typed(context, builder, signature, args)
+        index_of, _ = typed(context, builder, signature, args)
         for k, value in enumerate(cgutils.unpack_tuple(builder, args[2])):
-            index = builder.add(place(1), ir.Constant(bits, k))
+            index = builder.add(index_of(1), ir.Constant(bits, k))
             pointer, align = pointer_to(context, builder, signature.args[0], args[0], [index], 1)
             pointer = builder.bitcast(pointer, bits.as_pointer())
             store = builder.store(builder.bitcast(value, bits), pointer, align=align)

@@ -271,15 +271,15 @@ def sample(kind, table, q, derivative):
 
 
 @jit
-def weighted_means(kind, table, values, place, radius):
-    """Means of values (m, k) of cells, weighted by the kernel about places (n, 2).
+def weighted_means(kind, table, values, point, radius):
+    """Means of values (m, k) of cells, weighted by the kernel about points (n, 2).
 
-    Places are in cells, with the first centre at zero; `radius` is the cutoff in cells. Cells of
-    only one row have one axis, and places are at zero on the other.
+    Points are in cells, with the first centre at zero; `radius` is the cutoff in cells. Cells of
+    only one row have one axis, and points are at zero on the other.
     """
-    out = np.zeros(len(place))
-    for n in range(len(place)):
-        x, y = place[n, 0], place[n, 1]
+    out = np.zeros(len(point))
+    for n in range(len(point)):
+        x, y = point[n, 0], point[n, 1]
         total = 0.0
         for i in range(
             max(0, math.ceil(x - radius)), min(values.shape[0] - 1, math.floor(x + radius)) + 1

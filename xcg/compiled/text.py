@@ -31,9 +31,9 @@ def _bytes_where(emit, compute):
 
     def of_bytes(typingctx, data, at):
         def generate(context, builder, signature, args):
-            place, _ = typed(context, builder, signature, args)
+            index_of, _ = typed(context, builder, signature, args)
             pointer, align = pointer_to(
-                context, builder, signature.args[0], args[0], [place(1)], BLOCK
+                context, builder, signature.args[0], args[0], [index_of(1)], BLOCK
             )
             found = emit(builder, builder.load(pointer, align=align))
             return builder.bitcast(found, ir.IntType(BLOCK))
@@ -68,8 +68,10 @@ newlines = _bytes_where(
 
 def _equal(typingctx, data, at, byte):
     def generate(context, builder, signature, args):
-        place, value = typed(context, builder, signature, args)
-        pointer, align = pointer_to(context, builder, signature.args[0], args[0], [place(1)], BLOCK)
+        index_of, value = typed(context, builder, signature, args)
+        pointer, align = pointer_to(
+            context, builder, signature.args[0], args[0], [index_of(1)], BLOCK
+        )
         sought = vector_of(builder, [value(2)] * BLOCK)
         found = builder.icmp_unsigned("==", builder.load(pointer, align=align), sought)
         return builder.bitcast(found, ir.IntType(BLOCK))
@@ -85,8 +87,8 @@ def equal(data, at, byte):
 
 def _load8(typingctx, data, at):
     def generate(context, builder, signature, args):
-        place, _ = typed(context, builder, signature, args)
-        pointer, align = pointer_to(context, builder, signature.args[0], args[0], [place(1)], 8)
+        index_of, _ = typed(context, builder, signature, args)
+        pointer, align = pointer_to(context, builder, signature.args[0], args[0], [index_of(1)], 8)
         return builder.load(builder.bitcast(pointer, ir.IntType(64).as_pointer()), align=align)
 
     return types.uint64(data, at), generate
@@ -171,10 +173,10 @@ def _fives():
             bits = 5**q << 128 >> (5**q).bit_length()
         else:
             length = (5**-q - 1).bit_length()
-            places = length + 127
+            shift = length + 127
             if q < -27:
-                places = 2 * length + 128
-            bits = (1 << places) // 5**-q + 1
+                shift = 2 * length + 128
+            bits = (1 << shift) // 5**-q + 1
             bits >>= max(0, bits.bit_length() - 128)
         table[q - _LEAST] = bits >> 64, bits & (1 << 64) - 1
     return table
@@ -255,8 +257,8 @@ def _short(text, at, count):
         first = (points & (~points + _ONE)) >> _U(7)  # the lowest bit of the byte of the point
         power = -np.int64(leading_zeros(first) >> _U(3))
         digits = (digits & (first - _ONE)) << _EIGHT | digits & ~((first << _EIGHT) - _ONE)
-    known = _not_digits(digits) & _TOP == _U(0) and (count > 1 or points == _U(0))
-    return _whole(digits), power, known
+    fits = _not_digits(digits) & _TOP == _U(0) and (count > 1 or points == _U(0))
+    return _whole(digits), power, fits
 
 
 @inlined
@@ -284,8 +286,8 @@ def _usual(text, at, end):
                 power = -power
             end -= 4
     if 1 <= end - at <= 8:
-        m, shift, known = _short(text, at, end - at)
-        return m, power + shift, known
+        m, shift, fits = _short(text, at, end - at)
+        return m, power + shift, fits
     before = min(np.int64(trailing_zeros(_points(load8(text, at))) >> _U(3)), end - at)
     after = end - at - before - 1  # -1 without a point
     if before + max(after, 0) < 1 or (after >= 0 and before == 8):
@@ -358,23 +360,23 @@ def number(text, start, end):
     -------
     value : float
         The nearest float64, ties to even.
-    known : bool
+    is_nearest : bool
         Whether it is; else Python's `float` decides, or the word is not a number.
     """
     negative = load8(text, start) & _U(255) == _U(45)
-    m, power, known = _usual(text, start + negative, end)
+    m, power, is_nearest = _usual(text, start + negative, end)
     further = False
-    if not known:
-        m, power, further, known = _any(text, start + (negative or text[start] == 43), end)
+    if not is_nearest:
+        m, power, further, is_nearest = _any(text, start + (negative or text[start] == 43), end)
     value = 0.0
-    if known and m <= _EXACT and -22 <= power <= 22:  # both are exact
+    if is_nearest and m <= _EXACT and -22 <= power <= 22:  # both are exact
         value = float(m) / _TENS[-power] if power < 0 else float(m) * _TENS[power]
-    elif known and m != _U(0):
-        value, known = _nearest(m, power)
+    elif is_nearest and m != _U(0):
+        value, is_nearest = _nearest(m, power)
         if further:
             above, also = _nearest(m + _ONE, power)
-            known = known and also and above == value
-    return (-value if negative else value), known
+            is_nearest = is_nearest and also and above == value
+    return (-value if negative else value), is_nearest
 
 
 # --- tables ------------------------------------------------------------------------------------------------
@@ -383,7 +385,7 @@ BEYOND = 2 * BLOCK  # bytes of white space that must follow a text
 # of words left to the caller
 REST = (
     "row",
-    "place among the wanted",
+    "index among the wanted",
     "first byte",
     "byte after it",
 )
@@ -469,9 +471,9 @@ def read_rows(text, size, separator, columns, wanted, out, row, edges, lines, re
                 edge = 2 * (word + wanted[w])
                 start = np.int64(edges[edge])
                 stop = np.int64(edges[edge + 1])
-                value, known = number(text, start, stop)
+                value, is_nearest = number(text, start, stop)
                 out[w, row] = value
-                if not known:
+                if not is_nearest:
                     rest[left, 0] = row
                     rest[left, 1] = w
                     rest[left, 2] = start
