@@ -972,7 +972,7 @@ TABLE = [
         "test_a_box_in_another_unit_warns test_grains_outside_the_box_warn",
     ),
     Mutation(
-        "writers/formats.py", "at = min(len(view), self._end - place)", "at = 0",
+        "writers/formats.py", "at = min(len(view), self._end - offset)", "at = 0",
         "test_a_file_comes_to_the_state_after_the_last_task",
     ),
     # --- jobs ---

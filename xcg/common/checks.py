@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from xcg.common.messages import plain
 
 
-def floats(given: Any) -> NDArray[np.float64]:
+def floats(argument: Any) -> NDArray[np.float64]:
     """Numbers as an array; NaN, without dimensions, where they are texts, booleans or other objects."""
     try:
-        values = np.asarray(given)
+        values = np.asarray(argument)
         texts = values.dtype.kind == "O" and any(
             isinstance(value, (str, bytes)) for value in values.flat
         )
@@ -133,47 +133,47 @@ def check(
     raise ValueError(f"{name}={plain(value)}: expected {' '.join(expected)}{otherwise}{hint}")
 
 
-def check_choice(name: str, given: Any, choices: Any) -> None:
+def check_choice(name: str, argument: Any, choices: Any) -> None:
     """Raise ValueError unless an argument is one of the values of a Literal."""
-    if given not in get_args(choices):
+    if argument not in get_args(choices):
         raise ValueError(
-            f"{name}={given!r}: expected one of {', '.join(map(repr, get_args(choices)))}"
+            f"{name}={argument!r}: expected one of {', '.join(map(repr, get_args(choices)))}"
         )
 
 
 def vector(
-    name: str, given: Any, *, infinite: bool = False, error: type[ValueError] = ValueError
+    name: str, argument: Any, *, infinite: bool = False, error: type[ValueError] = ValueError
 ) -> NDArray:
     """Check three finite numbers (3,), or infinite ones where these mean something; `name` is the caller's for them."""
-    values = floats(given)
+    values = floats(argument)
     if (
         values.shape != (3,)
         or np.isnan(values).any()
         or not (infinite or np.isfinite(values).all())
     ):
         raise error(
-            f"{name}={plain(given)}: expected three {'' if infinite else 'finite '}numbers (x, y, z)"
+            f"{name}={plain(argument)}: expected three {'' if infinite else 'finite '}numbers (x, y, z)"
         )
     return values
 
 
-def unit_vector(name: str, given: Any) -> NDArray:
+def unit_vector(name: str, argument: Any) -> NDArray:
     """Check three finite numbers that are not all zero, and make their length one; (3,)."""
-    values = vector(name, given)
+    values = vector(name, argument)
     if not values.any():
         raise ValueError(
-            f"{name}={plain(given)}: expected a direction, three finite numbers (x, y, z), not all zero"
+            f"{name}={plain(argument)}: expected a direction, three finite numbers (x, y, z), not all zero"
         )
     return unit(values)
 
 
-def axis_vector(name: str, given: Any) -> NDArray:
+def axis_vector(name: str, argument: Any) -> NDArray:
     """Return a unit vector (3,) along "x", "y" or "z", or along three numbers that are not all zero."""
-    if not isinstance(given, str):
-        return unit_vector(name, given)
-    if given not in ("x", "y", "z"):
-        raise ValueError(f"{name}={given!r}: expected 'x', 'y', 'z' or a direction (x, y, z)")
-    return np.eye(3)["xyz".index(given)]
+    if not isinstance(argument, str):
+        return unit_vector(name, argument)
+    if argument not in ("x", "y", "z"):
+        raise ValueError(f"{name}={argument!r}: expected 'x', 'y', 'z' or a direction (x, y, z)")
+    return np.eye(3)["xyz".index(argument)]
 
 
 def unit(values: NDArray) -> NDArray:
@@ -182,9 +182,9 @@ def unit(values: NDArray) -> NDArray:
     return np.asarray(values / np.linalg.norm(values))
 
 
-def rising_pair(name: str, given: Any, *, equal: bool = False) -> tuple[float, float]:
+def rising_pair(name: str, argument: Any, *, equal: bool = False) -> tuple[float, float]:
     """Check two finite numbers of which the second is larger, or `equal` to the first where that is allowed."""
-    ends = floats(given)
+    ends = floats(argument)
     if (
         ends.shape != (2,)
         or not np.isfinite(ends).all()
@@ -192,7 +192,7 @@ def rising_pair(name: str, given: Any, *, equal: bool = False) -> tuple[float, f
         or (ends[0] == ends[1] and not equal)
     ):
         raise ValueError(
-            f"{name}={plain(given)}: expected (first, last) with first {'<=' if equal else '<'} last"
+            f"{name}={plain(argument)}: expected (first, last) with first {'<=' if equal else '<'} last"
         )
     low, high = ends.tolist()
     return low, high

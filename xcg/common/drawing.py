@@ -287,20 +287,20 @@ def cells_of(value: xr.DataArray, shading: str) -> tuple[NDArray, NDArray, NDArr
     """Return the edges of the cells to draw, across and up, and the number in each of them.
 
     A smooth map has cells finer than the nodes. Their numbers are interpolated linearly between the
-    nodes that are known. The rim of what is known runs between known and unknown nodes, and is
+    nodes with finite numbers. The rim runs between these and nodes without, and is
     rounded, so that it has no stairs.
     """
     up, across = (value[dim].to_numpy() for dim in value.dims)
     numbers = value.to_numpy()
     if shading == "flat":
         return _edges(across), _edges(up), numbers
-    known = np.isfinite(numbers)
+    finite = np.isfinite(numbers)
     is_circle = value.dims[0] == "theta"
     x, weight_x = _finer(across)
     y, weight_y = _finer(up, is_circle=is_circle)
-    top = weight_y @ np.where(known, numbers, 0.0) @ weight_x.T
-    bottom = weight_y @ known.astype(float) @ weight_x.T
-    inside = weight_y @ _distance_from_rim(known, is_circle=is_circle) @ weight_x.T > 0
+    top = weight_y @ np.where(finite, numbers, 0.0) @ weight_x.T
+    bottom = weight_y @ finite.astype(float) @ weight_x.T
+    inside = weight_y @ _distance_from_rim(finite, is_circle=is_circle) @ weight_x.T > 0
     return x, y, np.where(inside, top / np.where(bottom > 0, bottom, 1.0), np.nan)
 
 
@@ -320,25 +320,25 @@ def pixels_of(value: xr.DataArray) -> tuple[NDArray, NDArray, NDArray]:
     return across, up, np.where(inside, cells[row, column], np.nan)
 
 
-def _distance_from_rim(known: NDArray, *, is_circle: bool) -> NDArray:
-    """Return the distance (up, across) of each node from the rounded rim of the known ones, in nodes.
+def _distance_from_rim(finite: NDArray, *, is_circle: bool) -> NDArray:
+    """Return the distance (up, across) of each node from the rounded rim of the finite ones, in nodes.
 
-    It is positive at known nodes and negative at others, whatever the rounding. The first node
+    It is positive at finite nodes and negative at others, whatever the rounding. The first node
     follows the last one upwards on a circle.
     """
-    if known.all() or not known.any():
-        return np.where(known, 1.0, -1.0)
+    if finite.all() or not finite.any():
+        return np.where(finite, 1.0, -1.0)
     from scipy.ndimage import distance_transform_edt, gaussian_filter  # slow to import
 
     turn = 0
     if is_circle:
-        turn = len(known)
-    around = np.pad(known, ((turn, turn), (0, 0)), mode="wrap")
+        turn = len(finite)
+    around = np.pad(finite, ((turn, turn), (0, 0)), mode="wrap")
     distance = np.where(
         around, distance_transform_edt(around) - 0.5, 0.5 - distance_transform_edt(~around)
     )
-    smooth = gaussian_filter(distance, ROUNDED, mode="nearest")[turn : turn + len(known)]
-    return np.where(known, np.maximum(smooth, NEAREST), np.minimum(smooth, -NEAREST))
+    smooth = gaussian_filter(distance, ROUNDED, mode="nearest")[turn : turn + len(finite)]
+    return np.where(finite, np.maximum(smooth, NEAREST), np.minimum(smooth, -NEAREST))
 
 
 def _finer(nodes: NDArray, *, is_circle: bool = False) -> tuple[NDArray, NDArray]:

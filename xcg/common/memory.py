@@ -34,13 +34,13 @@ def empty(shape: int | Sequence[int], dtype: DTypeLike = "float64") -> NDArray[A
     return np.ndarray(shape, dtype, buffer=pages)
 
 
-def first_rows(array: NDArray, rows: int) -> NDArray:
+def first_rows(array: NDArray, count: int) -> NDArray:
     """Return the first rows of an array of `empty`, which owns its memory then: large ones without a copy."""
-    if rows == len(array):
+    if count == len(array):
         return array
     if type(array.base) is mmap.mmap:
-        return np.ndarray((rows, *array.shape[1:]), array.dtype, buffer=array.base)
-    return array[:rows].copy()
+        return np.ndarray((count, *array.shape[1:]), array.dtype, buffer=array.base)
+    return array[:count].copy()
 
 
 def owns_memory(array: NDArray) -> bool:

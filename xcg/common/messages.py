@@ -71,7 +71,7 @@ def did_you_mean(
     synonyms : mapping
         Known words by other names for them.
     """
-    plainly = {_plainly(known): known for known in words}
+    plainly = {_plainly(candidate): candidate for candidate in words}
     wanted = _plainly(word)
     if synonyms.get(wanted) in plainly.values():
         return f"; did you mean {synonyms[wanted]!r}?"
@@ -110,7 +110,7 @@ def _plainly(word: str) -> str:
 def unknown(
     what: str,
     word: object,
-    known: Iterable[object],
+    valid: Iterable[object],
     listed: str = "",
     synonyms: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
@@ -125,7 +125,7 @@ def unknown(
     synonyms : mapping
         Known names by other names for them.
     """
-    names = [str(name) for name in known]
+    names = [str(name) for name in valid]
     rest = listed or f"expected one of {', '.join(names)}"
     hint = did_you_mean(str(word), names, synonyms=synonyms)
     if not hint and len(str(word)) > 2:

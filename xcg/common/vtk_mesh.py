@@ -61,7 +61,7 @@ def read_mesh(path: str | os.PathLike[str], *, empty: bool = False) -> Any:
     return mesh
 
 
-def places_of(mesh: Any, *, centers: bool) -> NDArray:
+def points_of(mesh: Any, *, centers: bool) -> NDArray:
     """Points (n, 3) of a vtkDataSet, or centres of its cells."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkDoubleArray

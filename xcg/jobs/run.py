@@ -107,10 +107,10 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
 
 
 def _check_arguments(function: Callable[..., Any], options: Mapping[str, Any], table: str) -> None:
-    known = [name for name in inspect.signature(function).parameters if name != "ds"]
-    wrong = sorted(set(options) - set(known))
+    names = [name for name in inspect.signature(function).parameters if name != "ds"]
+    wrong = sorted(set(options) - set(names))
     if wrong:
-        raise SceneError(f"[{table}]: {unknown('option', wrong[0], known)}")
+        raise SceneError(f"[{table}]: {unknown('option', wrong[0], names)}")
 
 
 def _slices(ds: xr.Dataset, job: Job) -> xr.Dataset:

@@ -71,10 +71,10 @@ def read_toml(path: Path) -> Job:
 
 def _check_output(path: Path, output: dict[str, Any]) -> None:
     """Raise SceneError for a key or value of the table ``[output]`` that is not allowed."""
-    known = (*_OUTPUT, *_ENCODING)
-    wrong = [name for name in output if name not in known]
+    allowed = (*_OUTPUT, *_ENCODING)
+    wrong = [name for name in output if name not in allowed]
     if wrong:
-        raise SceneError(f"{path}: [output] has {wrong}; expected any of {', '.join(known)}")
+        raise SceneError(f"{path}: [output] has {wrong}; expected any of {', '.join(allowed)}")
     for key, kinds in _OUTPUT.items():
         if key in output and not isinstance(output[key], kinds):
             expected = " or ".join(kind.__name__ for kind in kinds)

@@ -326,20 +326,20 @@ def _append_step(root: h5py.Group, mesh: _Mesh) -> None:
         _append(root, f"{kind}/NumberOfConnectivityIds", [len(ends)])
     _append(root, "Steps/CellOffsets", [first_cell])
     _append(root, "Steps/ConnectivityIdOffsets", [first_end])
-    for place, data in (("Point", mesh.point_data), ("Cell", mesh.line_data)):
+    for kind_of_data, data in (("Point", mesh.point_data), ("Cell", mesh.line_data)):
         for name, values in data.items():
-            begin = _append(root, f"{place}Data/{name}", values)
-            _append(root, f"Steps/{place}DataOffsets/{name}", [begin])
+            begin = _append(root, f"{kind_of_data}Data/{name}", values)
+            _append(root, f"Steps/{kind_of_data}DataOffsets/{name}", [begin])
 
 
 def _append(root: h5py.Group, name: str, values: ArrayLike) -> int:
     """Add rows to an array, made at its first use; return how many it had."""
-    rows = np.asarray(values)
+    added = np.asarray(values)
     if name not in root:
-        root.create_dataset(name, data=rows, maxshape=(None, *rows.shape[1:]), chunks=True)
+        root.create_dataset(name, data=added, maxshape=(None, *added.shape[1:]), chunks=True)
         return 0
     target = root[name]
     before = target.shape[0]
-    target.resize(before + len(rows), axis=0)
-    target[before:] = rows
+    target.resize(before + len(added), axis=0)
+    target[before:] = added
     return before

@@ -86,8 +86,8 @@ class Hdf5Store:
             for array, chunks in zip(arrays, packed, strict=True):
                 for (first, *others), chunk in chunks:
                     # a file without a time axis has one step, the first
-                    place = (steps.start + first, *others)
-                    file[array.name].id.write_direct_chunk(place, chunk)
+                    first_index = (steps.start + first, *others)
+                    file[array.name].id.write_direct_chunk(first_index, chunk)
 
     def describe(self, attrs: Mapping[str, Any]) -> None:
         """Add attributes."""
@@ -102,20 +102,20 @@ class Hdf5Store:
                 yield file
 
     def _packed(self, array: StoredArray, values: NDArray) -> list[tuple[tuple[int, ...], Any]]:
-        """Return the places of whole chunks, and their bytes."""
+        """Return the first indices of whole chunks, and their bytes."""
         values = self.encoding.reduced(array.values(values), array.variable)
         values = values.astype(array.dtype, copy=False)
         sizes = list(zip(values.shape, array.chunk, strict=True))
         packed: list[tuple[tuple[int, ...], Any]] = []
-        for place in product(*(range(0, n, size) for n, size in sizes)):
-            part = values[tuple(map(slice, place, np.add(place, array.chunk)))]
+        for first_index in product(*(range(0, n, size) for n, size in sizes)):
+            part = values[tuple(map(slice, first_index, np.add(first_index, array.chunk)))]
             if part.shape != array.chunk:  # beyond the end
                 beyond = np.subtract(array.chunk, part.shape)
                 part = np.pad(part, [(0, n) for n in beyond])
             if self.encoding.level:
-                packed.append((place, deflated(part)))
+                packed.append((first_index, deflated(part)))
             else:
-                packed.append((place, np.ascontiguousarray(part)))
+                packed.append((first_index, np.ascontiguousarray(part)))
         return packed
 
 
@@ -150,11 +150,11 @@ class Sink(io.FileIO):
         """Write all of the data, or remember why not."""
         view = memoryview(data).cast("B")
         at = 0
-        place = self.tell()
-        if place < self._end:
-            at = min(len(view), self._end - place)
-            self._changes.append((place, bytes(view[:at])))
-            self.seek(place + at)
+        offset = self.tell()
+        if offset < self._end:
+            at = min(len(view), self._end - offset)
+            self._changes.append((offset, bytes(view[:at])))
+            self.seek(offset + at)
         try:
             while self.problem is None and at < len(view):
                 at += super().write(view[at:]) or 0
@@ -209,8 +209,8 @@ def hdf5_file(path: Path, mode: str, *, journal: bool = False) -> Iterator[h5py.
             part = _journal(path).with_suffix(".new")
             with open(part, "wb") as out:
                 out.write(struct.pack("<q", os.fstat(sink.fileno()).st_size))
-                for place, data in sink._changes:
-                    out.write(struct.pack("<qq", place, len(data)) + data)
+                for offset, data in sink._changes:
+                    out.write(struct.pack("<qq", offset, len(data)) + data)
             os.replace(part, _journal(path))
             _apply(sink._changes, sink.fileno())
 
@@ -224,8 +224,8 @@ def recover(path: Path) -> None:
     changes = []
     at = 8
     while at < len(content):
-        place, size = struct.unpack_from("<qq", content, at)
-        changes.append((place, content[at + 16 : at + 16 + size]))
+        offset, size = struct.unpack_from("<qq", content, at)
+        changes.append((offset, content[at + 16 : at + 16 + size]))
         at += 16 + size
     with open(path, "rb+") as file:
         file.truncate(*struct.unpack_from("<q", content))
@@ -233,8 +233,8 @@ def recover(path: Path) -> None:
 
 
 def _apply(changes: list[tuple[int, bytes]], file: int) -> None:
-    for place, data in changes:
-        os.lseek(file, place, os.SEEK_SET)
+    for offset, data in changes:
+        os.lseek(file, offset, os.SEEK_SET)
         os.write(file, data)
 
 

@@ -79,7 +79,7 @@ class Begun:
         return (self.folder / "whole").exists()
 
     def log(self, output: int) -> Log:
-        """Return the log of an output, by its place among all."""
+        """Return the log of an output, by its index among all."""
         return Log(self.folder / f"done_{output}.jsonl")
 
 
@@ -106,7 +106,7 @@ class Log:
         return {tuple(line["steps"]) for line in self._lines()}
 
     def skipped(self) -> dict[int, str]:
-        """Return the steps that were skipped, by their place in time, and why."""
+        """Return the steps that were skipped, by their index in time, and why."""
         return dict(
             sorted(
                 (int(t), cause) for line in self._lines() for t, cause in line["skipped"].items()

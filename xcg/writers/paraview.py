@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.common.vtk_mesh import places_of, read_mesh
+from xcg.common.vtk_mesh import points_of, read_mesh
 from xcg.readers.files.vtp import read_collection
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
@@ -215,8 +215,8 @@ def to_vtu(
         raise ValueError(f"{path}: expected a name that ends with .vtu")
     fields = with_time(with_components(fields))
     data = read_mesh(mesh)
-    dim, cells = _place_of(fields, data, mesh)
-    _check_places(fields, dim, places_of(data, centers=cells), mesh)
+    dim, cells = _dim_of_points(fields, data, mesh)
+    _check_points(fields, dim, points_of(data, centers=cells), mesh)
     bare = _bare_grid(data)
     write = partial(_write_mesh_step, dim, bare, cells=cells, overwrite=overwrite)
     if fields.sizes.get("time", 1) == 1:
@@ -228,7 +228,7 @@ def to_vtu(
     return series
 
 
-def _place_of(fields: xr.Dataset, mesh: Any, path: str | os.PathLike[str]) -> tuple[str, bool]:
+def _dim_of_points(fields: xr.Dataset, mesh: Any, path: str | os.PathLike[str]) -> tuple[str, bool]:
     """Dimension of the points, and whether they are cells of the mesh."""
     dims = [str(dim) for dim in fields.dims if dim not in _OTHERS]
     if len(dims) != 1:
@@ -253,20 +253,20 @@ def _place_of(fields: xr.Dataset, mesh: Any, path: str | os.PathLike[str]) -> tu
     return dim, fitting == ["cell"]
 
 
-def _check_places(
-    fields: xr.Dataset, dim: str, places: NDArray, path: str | os.PathLike[str]
+def _check_points(
+    fields: xr.Dataset, dim: str, points: NDArray, path: str | os.PathLike[str]
 ) -> None:
-    """Raise ValueError for fields at other places, as of another mesh or order."""
-    size = np.ptp(places, axis=0).max()
+    """Raise ValueError for fields at other points, as of another mesh or order."""
+    size = np.ptp(points, axis=0).max()
     for k, a in enumerate(COMPONENTS):
         if a in fields.coords and fields[a].dims in ((), (dim,)):
-            away = np.abs(fields[a].to_numpy() - places[:, k])
+            away = np.abs(fields[a].to_numpy() - points[:, k])
             if not away.max() <= _CLOSE * size:
-                row = int(away.argmax())
-                of_field = np.broadcast_to(fields[a].to_numpy(), len(places))[row]
+                worst = int(away.argmax())
+                of_field = np.broadcast_to(fields[a].to_numpy(), len(points))[worst]
                 raise ValueError(
-                    f"{os.fspath(path)}: the field's {dim} {row} is at {a} = {of_field:.9g}, and that of the mesh at "
-                    f"{places[row, k]:.9g}: the fields are those of another mesh, or in another order"
+                    f"{os.fspath(path)}: the field's {dim} {worst} is at {a} = {of_field:.9g}, and that of the mesh at "
+                    f"{points[worst, k]:.9g}: the fields are those of another mesh, or in another order"
                 )
 
 
@@ -302,8 +302,8 @@ def _write_mesh_step(
         data = array.part(step[array.variable].variable)
         order = (dim, "component", "direction")
         values = data.transpose(*order, missing_dims="ignore").to_numpy()
-        rows = np.ascontiguousarray(values.reshape(len(values), -1), array.dtype)
-        column = numpy_to_vtk(rows, deep=True)
+        table = np.ascontiguousarray(values.reshape(len(values), -1), array.dtype)
+        column = numpy_to_vtk(table, deep=True)
         column.SetName(array.name)
         target.AddArray(column)
     write_by_vtk(vtkXMLUnstructuredGridWriter(), grid, path, overwrite=overwrite)

@@ -265,9 +265,9 @@ def save(
 def _writer_of(path: Path) -> Writer | Format:
     """Return the writer that the end of a name chooses."""
     if path.suffix not in _WRITERS:
-        known = ", ".join(_NAMES.get(end, end) for end in _WRITERS)
+        endings = ", ".join(_NAMES.get(end, end) for end in _WRITERS)
         hint = _OTHER_SUFFIXES.get(path.suffix, "")
-        raise ValueError(f"{path}: expected a name that ends with {known}{hint}")
+        raise ValueError(f"{path}: expected a name that ends with {endings}{hint}")
     return _WRITERS[path.suffix]
 
 

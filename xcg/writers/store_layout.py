@@ -114,7 +114,7 @@ class StoreLayout:
 
     @property
     def step_numbers(self) -> NDArray:
-        """Number of each step; its place in time without the coordinate ``step``."""
+        """Number of each step; its index in time without the coordinate ``step``."""
         if "step" in self.ds.coords:
             return self.ds["step"].to_numpy()
         return np.arange(self.ds.sizes.get("time", 1))

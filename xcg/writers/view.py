@@ -448,8 +448,8 @@ def _draw_field(
         dim: label for dim, label in part.items() if label is not None and dim in f[name].dims
     }
     try:
-        known_at = without_air(f, name)
-        image: Any = to_pyvista(known_at.to_dataset(name=name).sel(chosen), index)
+        without_gaps = without_air(f, name)
+        image: Any = to_pyvista(without_gaps.to_dataset(name=name).sel(chosen), index)
     except KeyError as error:
         raise ValueError(f"{chosen}: {name!r} has no part of this name, {error}") from error
     resolved = sum(nodes > 1 for nodes in image.dimensions)
@@ -457,11 +457,11 @@ def _draw_field(
         raise ValueError(
             f"a picture in 3D needs two axes or three, and {name!r} has {resolved}: use f.cg.plot"
         )
-    unknown_at = np.isnan(image[name].reshape(image.n_points, -1)).any(axis=1)
-    known = image.extract_points(~unknown_at, adjacent_cells=False)
-    outline = known.outline()
-    if resolved == 3 and known.n_points:
-        known = known.slice_orthogonal(**dict(zip("xyz", image.center, strict=True))).combine()
-    _draw(plotter, known, name, image.user_dict["units"], style | {"lighting": False})
-    if known.n_points:
+    is_gap = np.isnan(image[name].reshape(image.n_points, -1)).any(axis=1)
+    drawn = image.extract_points(~is_gap, adjacent_cells=False)
+    outline = drawn.outline()
+    if resolved == 3 and drawn.n_points:
+        drawn = drawn.slice_orthogonal(**dict(zip("xyz", image.center, strict=True))).combine()
+    _draw(plotter, drawn, name, image.user_dict["units"], style | {"lighting": False})
+    if drawn.n_points:
         plotter.add_mesh(outline, color="black", line_width=1)

@@ -144,12 +144,12 @@ def checked(fields: xr.Dataset) -> xr.Dataset:
             "particles and contacts are no dimensions of an image: save scenes, and results by grain, as NetCDF or Zarr"
         )
     fields = with_time(fields)
-    known = {*_ON_DISK, "phase"}
+    allowed = {*_ON_DISK, "phase"}
     for name, data in fields.data_vars.items():
-        unknown = sorted(map(str, set(data.dims) - known))
+        unknown = sorted(map(str, set(data.dims) - allowed))
         if unknown:
             raise ValueError(
-                f"'{name}' has the dimensions {unknown}, expected some of {sorted(known)}; select or average "
+                f"'{name}' has the dimensions {unknown}, expected some of {sorted(allowed)}; select or average "
                 f"over them, or leave it out with fields.drop_vars('{name}'). Fields at points are no image: save them "
                 "as NetCDF or Zarr, or on their mesh with to_vtu"
             )
@@ -202,10 +202,10 @@ def _axis(fields: xr.Dataset, axis: str) -> tuple[int, float, float]:
     spacing = (nodes[-1] - nodes[0]) / (nodes.size - 1)
     even = nodes[0] + spacing * np.arange(nodes.size)
     if not (spacing > 0 and np.abs(nodes - even).max() <= 1e-6 * spacing):
-        row = int(np.argmax(np.abs(nodes - even)))
+        worst = int(np.argmax(np.abs(nodes - even)))
         raise ValueError(
-            f"coordinate '{axis}' is not evenly spaced and rising: node {row} is at {nodes[row]}, expected "
-            f"{even[row]}; an image needs even spacing: use fields.sortby('{axis}') or "
+            f"coordinate '{axis}' is not evenly spaced and rising: node {worst} is at {nodes[worst]}, expected "
+            f"{even[worst]}; an image needs even spacing: use fields.sortby('{axis}') or "
             f"fields.interp({axis}=np.linspace(...)), or write NetCDF"
         )
     return nodes.size, float(nodes[0]), float(spacing)

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.common.vtk_mesh import places_of, read_mesh
+from xcg.common.vtk_mesh import points_of, read_mesh
 from xcg.readers.assigned import magnitudes
 from xcg.readers.columns import unify_sizes
 from xcg.readers.engine import Engine, ReadOptions, StepRef
@@ -289,6 +289,6 @@ def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[
     ValueError
         If the name ends otherwise, or the file holds no points.
     """
-    points = places_of(read_mesh(path), centers=centers)
+    points = points_of(read_mesh(path), centers=centers)
     dim = "cell" if centers else "point"
     return {axis: xr.DataArray(points[:, k], dims=dim) for k, axis in enumerate(COMPONENTS)}

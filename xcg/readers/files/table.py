@@ -198,7 +198,7 @@ class _ColumnBuffer:
 
     def columns(self, filled: int) -> Columns:
         """Return the columns by name and the vectors by their tuples, without rows that were not filled."""
-        self._replace(partial(memory.first_rows, rows=filled))
+        self._replace(partial(memory.first_rows, count=filled))
         components = {
             column: array[:, k]
             for vector, array in self._vectors.items()
