@@ -376,7 +376,7 @@ def plot_rose(
 ) -> Axes:
     """Draw the rose diagram of one step: how contacts or links of chains are directed, weighted by force.
 
-    Each contact counts both ways. Those of a scene are directed along their normals, contacts with
+    Each contact counts both ways. Contacts of a scene are directed along their normals, contacts with
     walls included, and links of chains from centre to centre.
 
     Parameters

@@ -50,7 +50,7 @@ def derive(scene: Scene, values: str | Sequence[str]) -> xr.Dataset:
     SceneError
         If the scene lacks what a value is computed from.
     ValueError
-        If there is no such value.
+        If a value does not exist.
 
     Notes
     -----

@@ -177,7 +177,7 @@ class _Slices(FrameAnalysis):
         return {"slice_width": self.width, "method": self.method}
 
     def prepare(self, scene: Scene) -> Self:
-        """Leave out images along the slices, but those of a tilted box, which it shifts across them."""
+        """Leave out images along the slices, unless the box is tilted and shifts images across them."""
         if scene.tilted:
             return self
         periodic = self.axis if self.axis in self.setup.periodic else ""

@@ -48,11 +48,11 @@ def _computer(
                 "--jobs is for this machine; a cluster takes as many chunks as it has threads"
             )
 
-        def tell(line: str) -> None:
+        def show(line: str) -> None:
             if not quiet:
                 click.echo(line, err=True)
 
-        return cluster_of(job, tell)
+        return cluster_of(job, show)
     if dashboard:
         return _dashboard(jobs)
     return nullcontext()

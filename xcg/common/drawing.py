@@ -148,7 +148,7 @@ def new_axes(projection: str | None = None, ratio: float | None = None) -> Axes:
 def layout() -> Any:
     """Return the layout of a figure: that of matplotlib ("constrained"), with all text inside of the figure.
 
-    Ticks change with the size of the axes, after matplotlib has made room for those of before: where
+    Ticks change with the size of the axes, after matplotlib has made room for the former ticks: where
     text is beyond an edge, the room is made smaller by as much.
     """
     engine: Any = extra("matplotlib.layout_engine", "plot", "drawing").ConstrainedLayoutEngine

@@ -11,10 +11,10 @@ and the same three hold for kernels of any k. Integrals along segments are in `x
 
 Lucy and Heaviside have formulas, and all other kernels, Gaussians among them, a table of
 polynomials. A kind is the code of a kernel + its codimension. The kind of Lucy's kernel itself, in
-codimension 0, is `LUCY_FULL`, which is None: the compiler knows None by its type, and leaves all
+codimension 0, is `LUCY_FULL`, the value None: the compiler knows None by its type, and leaves all
 other kernels out of the loops that most scenes take, which then compile in half the time. In the
-same way the table of kernels with formulas is `PLAIN`, which is None. (The compiler leaves out what
-follows a test for None only where an argument is None: so functions for tables begin with that
+same way the table of kernels with formulas is `PLAIN`, the value None. (The compiler leaves out what
+follows a test for None only where it gets None: so functions for tables begin with that
 test.)
 """
 

@@ -50,7 +50,7 @@ def explore(ds: xr.Dataset) -> Explorer:
     and the place of a slice. Of a scene, grains can be drawn on top, and a slider changes the width
     of the kernel. Beside the field, bias, noise and total error of the step are drawn against the
     width, as `choose_width` computes them. The Python calls that make the picture
-    stand below it.
+    are printed below it.
 
     In a script or at the prompt of Python, which show no widgets, ``ds.cg.explore().show()`` opens
     the page in the browser.
@@ -99,7 +99,7 @@ class Explorer:
     pictures : Pictures
         Pictures to choose from.
     opened : str
-        Python calls that come before those of a picture, such as one that opens the files.
+        Python calls that come before the picture's, such as one that opens the files.
 
     Attributes
     ----------

@@ -73,7 +73,7 @@ class Choice:
     cmap : str or None
         Colours of a map, as in `plot`.
     vmin, vmax : float or None
-        Ends of the colours of a map; None for those of each step.
+        Ends of the colours of a map; None for the ends of each step.
     is_logarithmic : bool
         Whether colours follow the logarithm.
     """
@@ -393,7 +393,7 @@ class ScenePictures(Pictures):
     def grains(self, choice: Choice) -> tuple[Mapping[str, NDArray], str]:
         """Return circles of the grains of a step on a map, and a note about which they are.
 
-        Those of a volume are the circles in which a plane cuts the grains: that of the slice, or of
+        In a volume they are the circles in which a plane cuts the grains: that of the slice, or in
         a map the one in the middle. Of more than `MOST_GRAINS`, those with the smallest hash of
         their id are returned: a random choice that stays the same in all steps.
         """

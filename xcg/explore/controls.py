@@ -123,7 +123,7 @@ class Controls:
             controls[name].visible = is_map and controls["range"].value == FIXED
 
     def fix_range(self, low: float, high: float) -> None:
-        """Fill in the ends of the colours that are shown, while they are those of each step."""
+        """Fill in the ends of the colours that are shown, while they follow each step."""
         if self.by_name["range"].value == BY_STEP:
             for name, value in (("vmin", low), ("vmax", high)):
                 self.by_name[name].value = float(f"{value:.4g}")

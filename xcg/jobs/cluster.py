@@ -19,15 +19,15 @@ _ANSWERS_WITHIN = 5.0  # seconds
 
 
 @contextmanager
-def cluster_of(job: Job, tell: Callable[[str], object]) -> Iterator[None]:
+def cluster_of(job: Job, show: Callable[[str], object]) -> Iterator[None]:
     """Let the cluster of a job's scheduler compute all tasks meanwhile.
 
     Parameters
     ----------
     job : Job
         All workers must see its input and its folder.
-    tell : callable
-        Gets lines about the cluster: its size, its dashboard, and that workers are waited for.
+    show : callable
+        Prints a line about the cluster: its size, its dashboard, and that workers are waited for.
 
     Raises
     ------
@@ -49,15 +49,15 @@ def cluster_of(job: Job, tell: Callable[[str], object]) -> Iterator[None]:
             "address that it prints, such as tcp://10.0.0.1:8786"
         ) from error
     with distributed.Client(address, timeout=_ANSWERS_WITHIN) as client:
-        tell(f"dashboard: {client.dashboard_link}")
+        show(f"dashboard: {client.dashboard_link}")
         if not client.nthreads():
-            tell("the cluster has no workers yet; waiting for the first")
+            show("the cluster has no workers yet; waiting for the first")
             client.wait_for_workers(1)
         job.folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=job.folder, prefix=".xcg-") as mark:
             _check_workers(client, [mark.name, *_first_files(job)])
         threads = client.nthreads()
-        tell(f"{len(threads)} workers with {sum(threads.values())} threads")
+        show(f"{len(threads)} workers with {sum(threads.values())} threads")
         try:
             yield
         except distributed.KilledWorker as error:

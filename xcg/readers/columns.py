@@ -155,7 +155,7 @@ class Columnar(Engine):
 
         The force is ``contact_force``; without it, the sum of ``normal_force`` and
         ``tangential_force``; without the second, the first alone. Columns that `names` maps to
-        other names that begin with "contact_" become variables of their own.
+        other names that begin with "contact_" become further variables.
         """
         filled = assign(ref, self.contact_slots(ref, options), options)
         for slot in ("contact_i", "contact_j"):

@@ -94,7 +94,7 @@ def warn_of_missing_facts(
 
 
 def _warn_of_pieces(listing: Listing, ends: Mapping[StepRef, Frame]) -> None:
-    """Warn if steps that names of files or a column tell apart share no particle: the first, last and second."""
+    """Warn if the first, last and second step, separated by names of files or a column, share no particle."""
     filled = [step.particles for step in listing.steps if step.particles.rows]
     cause = _cause_of_steps(listing)
     if len(filled) < 2 or not cause:

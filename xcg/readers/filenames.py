@@ -42,7 +42,7 @@ class FileNumbers:
     runs : list of str
         Paths without the number that counts; files of one run share it.
     problem : str
-        Why the names do not tell the steps; "" if they do, or hold no numbers.
+        Why the steps do not follow from the names; "" if they do, or names hold no numbers.
     """
 
     steps: list[int | None]

@@ -60,7 +60,7 @@ def scene_from_table(
         force on i is ``normal_force n + tangential_force (z x n)``.
     names : mapping, optional
         From other columns to these names; None drops a column. ``{"particles": {...}, "contacts":
-        {...}}`` gives those of each table.
+        {...}}`` gives names of each table.
     **options
         All else that `xcg.scene_from_arrays` takes: ``box``, ``periodic``, ``units``, and variables
         that the tables do not hold. ``density`` is used where the tables hold neither mass nor

@@ -86,7 +86,7 @@ def vectors_among(columns: Iterable[str]) -> list[tuple[str, dict[str, str]]]:
     """Return the canonical name of each vector, without its axis, and its columns by axis.
 
     Columns of a vector differ by a letter x, y, z, of which one may be missing, or by a number from
-    0 or 1 on. Components of tensors, as xx, xy and xz, and four numbered columns are none.
+    0 or 1 on. Components of tensors (xx, xy, xz) and four numbered columns do not make vectors.
     """
     names = list(dict.fromkeys(columns))
     vectors: list[tuple[str, dict[str, str]]] = []

@@ -78,7 +78,7 @@ def open_scene(
         `xcg.readers.Engine`.
     names : mapping, list or text, optional
         From columns in the files to variables of the scene, before what the engine knows by itself;
-        None drops a column; ``{"particles": {...}, "contacts": {...}}`` gives those of each kind of
+        None drops a column; ``{"particles": {...}, "contacts": {...}}`` gives names of each kind of
         file. Components are single names: ``position_x``, ``velocity_x``,
         ``contact_force_x``, ``contact_point_x``, ``contact_normal_x``, and so on for y and z.
         Further names are
@@ -102,7 +102,7 @@ def open_scene(
     times : array (t,), optional
         Time of each step in the particle files, in their order and in their unit of time; also
         durations, or dates, which count in s from the first. Pieces of one step have the same time.
-        Contacts whose steps are listed as those of the particles get these times, too.
+        Contacts whose steps are listed as the particles' steps are get these times, too.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the domain in the files' unit of length, in place of the headers'.
     periodic : str or bool, optional
@@ -190,7 +190,7 @@ def open_scene(
         If a path does not exist or a glob matches nothing.
     SceneError
         If the files are not what they should be; the message names file, step and row or column.
-        Faults in bodies appear when they are read. Also if names of files do not tell which of
+        Faults in bodies appear when they are read. Also if names of files do not show which of
         their numbers is the step, if steps go back within a file, if steps of two runs would be
         mixed, or if a piece of a step is missing.
 
@@ -204,8 +204,8 @@ def open_scene(
         (a force across a gap, none across one, a false overlap, a point off both surfaces, a normal
         of another length or sign), sizes, masses, volumes, positions and box contradict each other,
         or most particles are of one body; the message says what becomes of these. If no particle of
-        the first step is in the last or the second one, where names of files or a column tell the
-        steps apart, as they may be pieces of one step.
+        the first step is in the last or the second one, where names of files or a column separate the
+        steps, as they may be pieces of one step.
 
     Notes
     -----

@@ -43,7 +43,7 @@ def order_steps(steps: Sequence[Step], kind: str, read: Read, *, timed: bool) ->
     Raises
     ------
     SceneError
-        If the names of files are all that numbers the steps, and do not tell which number counts;
+        If only the names of files number the steps, and do not show which number counts;
         if times or numbers go back within a file; if steps of two runs would lie between each
         other; if a piece of a step is missing.
 
@@ -117,7 +117,7 @@ def _check_files(steps: Sequence[Step], kind: str) -> None:
 
 
 def _check_runs(steps: Sequence[Step], kind: str) -> None:
-    """Raise SceneError if steps of one run lie between those of another, and are not the same steps.
+    """Raise SceneError if steps of two runs would be mixed, unless a run repeats the end of the other.
 
     A run is a file of several steps, or files whose names differ in one number. A run that was
     restarted may repeat the last steps of an earlier one.
@@ -237,7 +237,7 @@ def warn_if_none_recurs(steps: Iterable[tuple[str, Frame]], cause: str) -> None:
 
 
 def cause_by_files(count: int) -> str:
-    """Return what steps may be that only the names or the order of their files tell apart."""
+    """Return the likely cause, and a way out, where only names or order of files separate the steps."""
     times = f"[0] * {count}"
     if count <= 3:
         times = str([0] * count)
@@ -248,7 +248,10 @@ def cause_by_files(count: int) -> str:
 
 
 def cause_by_column(column: str, *, in_order: bool) -> str:
-    """Return what steps may be that a column separates; `in_order`: whether ``names=`` lists the columns."""
+    """Return the likely cause, and a way out, where a column separates the steps.
+
+    `in_order`: ``names=`` lists the columns.
+    """
     call = f"names={{{column!r}: None}}"
     if in_order:
         call = "None in its place of names="

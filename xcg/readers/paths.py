@@ -247,7 +247,7 @@ def index_steps(
     scan: Callable[[str], Iterable[StepRef]],
     timestep: Any = None,
 ) -> list[StepRef]:
-    """List the steps of all files, where faults are tolerated those of good files; arguments as of `remembered`.
+    """List the steps of all files, or of good files where faults are tolerated; arguments as of `remembered`.
 
     Steps without a number are numbered as of `number_steps`. With a `timestep`, steps without time
     get one.
@@ -322,9 +322,9 @@ def number_steps(
 
 
 def _load(folder: str, kind: str) -> tuple[Path | None, dict[str, Any]]:
-    """Return the folder's index file and its entries by name of the file; none where it is absent or damaged.
+    """Return the folder's index file and its entries by name of the file; no entries if it is absent or damaged.
 
-    There is no index file if the index is turned off or the home is unknown.
+    No path is returned if the index is turned off or the home is unknown.
     """
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     if os.environ.get("XCG_INDEX_CACHE", "1") == "0" or home.startswith("~"):

@@ -24,7 +24,7 @@ WALL_CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point")
 
 
 def columns_of_walls(options: ReadOptions) -> dict[str, list[str]]:
-    """Columns that the contacts with each wall have among those of particles: the whole array, or the six given."""
+    """Columns of particles that hold the contacts with each wall: the whole array, or six by name."""
     columns = {}
     for wall, names in options.walls.items():
         if isinstance(names, str):

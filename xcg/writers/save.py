@@ -192,7 +192,7 @@ def save(
     Returns
     -------
     pathlib.Path, or list of pathlib.Path
-        The file or folder, or those of a list.
+        The file or folder, or a list of them.
 
     Raises
     ------

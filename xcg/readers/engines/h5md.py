@@ -2,7 +2,7 @@
 
 An element of a group of particles is a dataset, which does not change in time, or a group of
 ``value``, ``step`` and ``time``, whose first dimension counts the steps. The steps of a scene are
-those of the positions. Edges of the box count along periodic axes only.
+the steps of the positions. Edges of the box count along periodic axes only.
 """
 
 from __future__ import annotations
@@ -201,9 +201,9 @@ class _Group:
     file : File
         The file.
     elements : mapping
-        The elements that are there at each step of the positions, by name.
+        Elements with values at each step of the positions, by name.
     unread : sequence of str
-        Names of those that are not.
+        Names of the other elements.
     """
 
     name: str
@@ -351,7 +351,7 @@ def _box(file: h5py.File, group: _Group, k: int, source: str) -> dict[str, Any]:
 
 
 def _units(group: _Group) -> str | None:
-    """Return the units that the file names: "si", None, or a list of those that are not of SI."""
+    """Return the units that the file names: "si", None, or a list of units outside SI."""
     named: dict[str, Any] = {name: element.values for name, element in group.elements.items()}
     time = f"{group.name}/position/time"
     if time in group.file:

@@ -51,7 +51,7 @@ _PARALLEL = 0.9  # of the torque and normal x force
 
 
 class Liggghts(Dumps):
-    """Dumps of LIGGGHTS, whose axes of superquadrics are halves, where those of LAMMPS are whole."""
+    """Dumps of LIGGGHTS, which hold half-axes of superquadrics where LAMMPS writes whole axes."""
 
     MORE_DIGITS = 'dump_modify ... format "%.10g %.10g ...", with one %.10g for each column'
     PARTICLE_SLOTS: ClassVar[names.Slots] = names.slots_of(names.PARTICLES, "liggghts")

@@ -62,7 +62,7 @@ class Restart:
     density : mapping
         Density of each species.
     edges : mapping
-        Edges of the box along periodic axes, by the number of the axis; None for those of the
+        Edges of the box along periodic axes, by the number of the axis; None for the edges of the
         ``.data`` file.
     vectors : mapping
         Vectors to the next images, by the number of the axis, where they do not point along it.

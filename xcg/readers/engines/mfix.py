@@ -13,7 +13,7 @@ What its contacts hold was checked on its output, against the positions of the p
 - Contacts are one time step older than positions, so a point may lie a period away from a particle
   i that just crossed.
 - Many contacts stand twice: see `xcg.readers.engines.mfix_contacts`.
-- ``QUATERNION`` (w, x, y, z) turns the axes of the body to those of space, and half-axes are those
+- ``QUATERNION`` (w, x, y, z) turns the axes of the body to the axes of space, and half-axes are those
   of the phase times ``SQP_POLY_SCALE``: so contact points of superquadrics lie on their surfaces.
 """
 
@@ -177,8 +177,7 @@ class Mfix(Vtk):
 def _shapes(ref: StepRef, arrays: Frame) -> Frame:
     """Return quaternions, half-axes and exponents of superquadrics.
 
-    Which of the two exponents m and n is which could not be checked: there are none where these
-    differ.
+    Exponents m and n are returned where they are equal only, as their order could not be checked.
     """
     frame: Frame = {}
     if _QUATERNION in arrays:

@@ -179,7 +179,7 @@ def read_series(path: str) -> list[tuple[tuple[str, ...], float | None]]:
     Raises
     ------
     SceneError
-        If this is no such list, or it names nothing.
+        If the file is another kind of list, or names nothing.
     """
     with open_binary(path) as file:
         text = file.read(_LONGEST_SERIES)

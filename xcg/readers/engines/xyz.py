@@ -245,7 +245,7 @@ def _names_of_properties(text: str, source: str) -> tuple[str, ...]:
 def _names_of_plain(sample: bytes) -> tuple[str, ...]:
     """Return the names of columns without Properties: species, x, y, z, column_5, ...
 
-    A first column of numbers that are not whole is no species: then no column has a name.
+    If the first column holds fractions, it cannot be a species, and no column has a name.
     """
     rows = [line.split() for line in sample.split(b"\n")[:100]]
     first = next(filter(None, rows), [])

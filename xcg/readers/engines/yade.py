@@ -98,7 +98,7 @@ def _steps(path: str) -> Iterator[StepRef]:
 
 
 def _columns(comments: Sequence[Sequence[str]], values: int, path: str) -> tuple[str, ...]:
-    """Return the names of the columns: those of the format, or the comment with most names of variables.
+    """Return the names of the columns, from the format or from the comment with most names of variables.
 
     It has as many names as the first row has values (0 without rows).
     """

@@ -36,7 +36,7 @@ def scan_blocks(
     """Yield the tables of a file that does not begin with the names of columns, with the time above each.
 
     Nothing where the first line names the columns and numbers follow, or no line with numbers below
-    it names any. Units in a row of their own become part of the names, "x [mm]".
+    it names any. Units in a separate row become part of the names, "x [mm]".
 
     Parameters
     ----------

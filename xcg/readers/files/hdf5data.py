@@ -74,7 +74,7 @@ def dataset(file: h5py.File, path: str) -> h5py.Dataset:
     Raises
     ------
     SceneError
-        If there is no dataset of this path, it does not hold numbers, or it promises far more bytes
+        If the dataset does not exist, does not hold numbers, or promises far more bytes
         than are stored.
     """
     import h5py

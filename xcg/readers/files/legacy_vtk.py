@@ -104,7 +104,7 @@ def read_header(path: str, *, lines: bool = False) -> Header:
     Raises
     ------
     SceneError
-        If this is no legacy VTK file, it is damaged or shorter than promised; or lines are wanted,
+        If the file is not of legacy VTK, damaged or shorter than promised; or if lines are wanted,
         and there are cells of other kinds beside them.
     """
     with open_binary(path) as file:
@@ -343,7 +343,7 @@ class _Scanner:
         return line
 
     def _advance(self, size: int) -> None:
-        """Count bytes that were read; raise SceneError beyond what compressed bytes may stand for."""
+        """Count bytes that were read; raise SceneError beyond what compressed bytes may unpack to."""
         self._at += size
         if self._at > self._most:
             raise self.damaged(f"its compressed bytes stand for more than {self._most:.3g}")

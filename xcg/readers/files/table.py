@@ -586,7 +586,7 @@ def _words(text: bytes, separator: str) -> list[bytes]:
 
 
 def _is_date(word: bytes) -> bool:
-    """Return whether a word may be a date or a duration: it holds digits and is no number."""
+    """Return whether a word may be a date or a duration: it holds digits but is not a number."""
     is_number = not math.isnan(_number(word)) or _DECIMAL_COMMA.fullmatch(word.decode("latin-1"))
     return not is_number and any(byte in b"0123456789" for byte in word)
 

@@ -425,7 +425,7 @@ def read_parallel(path: str) -> tuple[str, ...]:
     Raises
     ------
     SceneError
-        If this is no such file, or it names nothing.
+        If the file is of another kind, or names nothing.
     """
     xml = _parsed(path, _whole_list(path), "PUnstructuredGrid", "PPolyData")
     sources = [tag.get("Source", "") for tag in xml.named("Piece")]
