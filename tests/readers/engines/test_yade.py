@@ -95,3 +95,20 @@ def test_damaged_files_raise(tmp_path, old, new, message):
     with pytest.raises(xcg.SceneError, match=message) as error:
         xcg.open_scene(path, engine="yade").load()
     assert "grains_0.txt" in str(error.value)
+
+
+@pytest.mark.parametrize("time", ["", "# time 0.5\n"])
+@pytest.mark.filterwarnings("error")
+def test_one_force_below_a_comment_is_that_on_the_first_body(tmp_path, time):
+    """As in any table; YADE keeps normal and shear forces, which act on the second."""
+    grains = f"{time}# id x y z radius\n1 1 1 1 0.5\n2 1.9 1 1 0.5\n"
+    write(tmp_path / "g.txt", grains)
+    write(tmp_path / "c.txt", f"{time}# id1 id2 fx fy fz\n1 2 -3 0 0\n")
+    options = {"contacts": tmp_path / "c.txt", "density": 1.0}
+    ds = xcg.open_scene(tmp_path / "g.txt", **options)
+    assert [ds.contact_i.item(), ds.contact_force[0, 0, 0].item()] == [1, -3]
+    write(tmp_path / "g.txt", grains.replace("radius", "r"))
+    write(tmp_path / "c.txt", f"{time}# id1 id2 fn(3) fs(3)\n1 2 3 0 0 0 0 0\n")
+    ds = xcg.open_scene(tmp_path / "g.txt", **options)
+    assert ds.attrs["engine"] == "yade"
+    assert [ds.contact_i.item(), ds.contact_force[0, 0, 0].item()] == [2, 3]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from itertools import chain
+from itertools import chain, takewhile
 from typing import Any, ClassVar
 
 import numpy as np
@@ -29,6 +29,7 @@ _MOST_COMMENTS = 1000
 _LONGEST_ROW = 1 << 14  # bytes
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_PARTS_OF_FORCES = ("fn", "fs", "normal", "shear")
 _WORDS = {"time": 1, "step": 1, "cell": 9}  # of comments, and how many numbers follow
 
 
@@ -40,26 +41,38 @@ class Yade(Columnar):
     CONTACT_SLOTS: ClassVar[names.Slots] = names.slots_of(names.CONTACTS, "yade")
 
     def recognises(self, path: str) -> bool:
-        """Return whether a line of comments holds a format, time or columns in YADE's words."""
+        """Return whether the comments above the rows hold a format, time or columns in YADE's words.
+
+        Contacts with one force, `fx`, are those of a table: the force acts on the first body.
+        """
         lines = first_lines(path)
-        rows = [line for line in lines if not line.startswith("#")]
-        if rows and "," in rows[0]:  # CSV
+        comments = [line.lstrip("#").split() for line in takewhile(_is_comment, lines)]
+        if "," in "".join(lines[len(comments) :][:1]):  # CSV
             return False
-        for line in lines:
-            if not line.startswith("#"):
-                return False
-            words = line.lstrip("#").split()
-            if words[:1] == ["format"] or {"id1", "id2"} <= set(words):
-                return True
-            if words[:1] == ["time"] and _NUMBER.fullmatch(" ".join(words[1:2])):
-                return True
-        return False
+        for words in comments:
+            if {"id1", "id2"} <= {*words}:
+                return any(word.startswith(_PARTS_OF_FORCES) for word in words)
+        return any(map(_is_of_spheres, comments))
 
     def list_steps(
         self, paths: Sequence[str], options: ReadOptions, *, contacts: bool
     ) -> list[StepRef]:
         """List the steps of particles or contacts, one a file."""
         return index_steps(paths, "yade", _steps)
+
+
+def _is_comment(line: str) -> bool:
+    return line.startswith("#")
+
+
+def _is_of_spheres(words: Sequence[str]) -> bool:
+    """Return whether a comment is a format, a time, or names the columns of spheres of one step."""
+    if words[:1] == ["time"] and _NUMBER.fullmatch(" ".join(words[1:2])):
+        return True
+    named = {*words}
+    return words[:1] == ["format"] or (
+        named >= {"id", "x", "y", "z", "r"} and not named & {"time", "t", "step"}
+    )
 
 
 _NAMES_READ = {*chain(*Yade.PARTICLE_SLOTS.values(), *Yade.CONTACT_SLOTS.values())}
