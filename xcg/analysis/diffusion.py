@@ -18,8 +18,9 @@ from xcg.fields.formulas.block_errors import block_errors
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import phase_of, rows_of, steps_in, without_frozen
+from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
-from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, units_in
+from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, Frame, units_in
 from xcg.scene.times import evenly_spaced, require_known_times
 from xcg.steps.labels import (
     annotated,
@@ -284,17 +285,21 @@ def velocity_autocorrelation(
     return xr.Dataset(data, attrs=provenance(ds, call)).assign_coords(coords)
 
 
+def _frames(ds: xr.Dataset, names: Sequence[str]) -> Iterator[tuple[Frame, Lattice, str]]:
+    """Compute frame, periodic images and name of each step, without frozen grains."""
+    held = [name for name in (*names, "frozen", *OF_STEP) if name in ds]
+    periodic = str(ds.attrs.get("periodic", ""))
+    for step in each_step(ds[held]):
+        padded = {name: step[name].to_numpy() for name in held}
+        frame, lattice, source = next(steps_in(padded, periodic))
+        yield without_frozen(frame), lattice, source
+
+
 def _velocities(
     ds: xr.Dataset, axes: Sequence[int], remove_drift: bool
 ) -> Iterator[tuple[NDArray, NDArray]]:
     """Return the ids and velocities (n, axes) of the grains that move, step by step."""
-    read = ("particle_id", "position", "velocity", "frozen", *OF_STEP)
-    names = [name for name in read if name in ds]
-    periodic = str(ds.attrs.get("periodic", ""))
-    for step in each_step(ds[names]):
-        padded = {name: step[name].to_numpy() for name in names}
-        frame, _, _ = next(steps_in(padded, periodic))
-        frame = without_frozen(frame)
+    for frame, _, _ in _frames(ds, ("particle_id", "position", "velocity")):
         velocity = frame["velocity"][:, axes]
         if remove_drift and len(velocity):
             velocity = velocity - velocity.mean(axis=0)
@@ -355,14 +360,9 @@ def _displacements(
     ds: xr.Dataset, by: str | None, groups: Sequence[int], remove_drift: bool
 ) -> Iterator[_Displaced]:
     """Follow the grains from step to step."""
-    read = ("particle_id", "position", *MOTION, "frozen", str(by), *OF_STEP)
-    names = [name for name in read if name in ds]
-    periodic = str(ds.attrs.get("periodic", ""))
+    names = ("particle_id", "position", *MOTION, str(by))
     before = None
-    for t, step in enumerate(each_step(ds[names])):
-        padded = {name: step[name].to_numpy() for name in names}
-        frame, lattice, source = next(steps_in(padded, periodic))
-        frame = without_frozen(frame)
+    for t, (frame, lattice, source) in enumerate(_frames(ds, names)):
         ids = frame["particle_id"]
         position = frame["position"]
         displacement = np.zeros_like(position)

@@ -155,7 +155,8 @@ def _likely(ref: StepRef, slot: str) -> str | None:
 def magnitudes_among(columns: Iterable[str], names: Mapping[str, str | None]) -> dict[str, str]:
     """Return the columns of forces of contacts that are one number each, by their variable."""
     free = [column for column in columns if column not in names]
-    scalars = columns_by_name(free, {slot: CONTACT_ARRAYS[slot] for slot in _FORCES})
+    forces = {slot: CONTACT_ARRAYS[slot] for slot in _FORCES}
+    scalars = columns_by_name(free, forces)
     mapped = {
         slot: column for column, slot in names.items() if column in columns and slot in _FORCES
     }

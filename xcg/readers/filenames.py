@@ -179,7 +179,8 @@ def _varying(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
         if not columns:
             return [], f"several numbers in the names vary ({ranges})"
     for column in columns:
-        if not _are_whole([number.text for number in column if number.is_whole]):
+        whole = [number.text for number in column if number.is_whole]
+        if not _are_whole(whole):
             return [], f"the numbers in the names ({_range(column)}) are not padded to one length"
     return columns, ""
 
@@ -227,7 +228,8 @@ def _numbers_of(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
     split = []
     for place, column in enumerate(zip(*rows, strict=True)):
         before = [text[: number.start] for text, number in zip(texts, column, strict=True)]
-        decimal = _are_decimals([number.text for number in column], before)
+        words = [number.text for number in column]
+        decimal = _are_decimals(words, before)
         if decimal is None:
             doubt = f"{column[0].text!r} in the names may be a decimal or two numbers"
         if not decimal:

@@ -104,7 +104,8 @@ def scene_from_table(
     grains = _frames(table, "particles", read_options.of_kind("particles"), contacts=False)
     steps = sorted(grains)
     clock, _ = grains[steps[0]]
-    arrays: dict[str, Any] = _stacked([grains[key][1] for key in steps])
+    frames = [grains[key][1] for key in steps]
+    arrays: dict[str, Any] = _stacked(frames)
     arrays |= {what: [grains[key][0][what] for key in steps] for what in clock}
     nameless = "particle_id" not in arrays and options.get("particle_id") is None
     if nameless:
@@ -114,8 +115,9 @@ def scene_from_table(
     columns = clock_of(refs["particles"][0].columns, names_of_particles).values()
     if len(steps) > 1 and not {*columns} & {*names_of_particles}:
         cause = cause_by_column(next(iter(columns)), in_order=False)
-        compared = dict.fromkeys((steps[0], steps[-1], steps[1]))
-        warn_if_none_recurs(((f"step {key:g}", grains[key][1]) for key in compared), cause)
+        compared = dict.fromkeys((0, len(steps) - 1, 1))
+        named = [(f"step {steps[k]:g}", frames[k]) for k in compared]
+        warn_if_none_recurs(named, cause)
     if contacts is not None:
         lattices = _lattices(steps, options)
         of_kind = read_options.of_kind("contacts")
@@ -168,10 +170,11 @@ def _lattices(steps: Sequence[float], options: Mapping[str, Any]) -> dict[float,
     if box is None or not periodic:
         return dict.fromkeys(steps, Lattice.of({}, ""))
     boxes = domain_of(box, options.get("lattice"), {}, periodic, len(steps))
-    return {
-        key: Lattice.of({name: values[t] for name, values in boxes.items()}, periodic)
-        for t, key in enumerate(steps)
-    }
+    lattices = {}
+    for t, key in enumerate(steps):
+        box_of_step = {name: values[t] for name, values in boxes.items()}
+        lattices[key] = Lattice.of(box_of_step, periodic)
+    return lattices
 
 
 def _contacts(

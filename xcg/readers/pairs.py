@@ -263,7 +263,8 @@ def _join(
         warn_user(
             f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}"
         )
-    _warn_of_boxes([(step, others[index]) for step, index in paired if index >= 0], kind)
+    partners = [(step, others[index]) for step, index in paired if index >= 0]
+    _warn_of_boxes(partners, kind)
     joined = []
     for step, index in paired:
         if index >= 0:

@@ -76,7 +76,8 @@ def _why_none(path: str) -> str:
         return problem
     if not os.path.isdir(folder):
         return f"{problem}; the folder {folder!r} does not exist"
-    files = sort_by_numbers(entry.name for entry in Path(folder).iterdir() if entry.is_file())
+    names = [entry.name for entry in Path(folder).iterdir() if entry.is_file()]
+    files = sort_by_numbers(names)
     if not files:
         return f"{problem}; the folder {folder!r} holds no files"
     similar = difflib.get_close_matches(name, files, n=3, cutoff=0.4) or files[:3]

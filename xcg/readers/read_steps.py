@@ -277,7 +277,8 @@ def read_particle_chunk(
         frame = source.opened.take(ref, types)
         if frame is None:
             raw = read_step(source.engine, source.options, ref)
-            frame = source.complete(raw, ref, {name: values[t] for name, values in boxes.items()})
+            box = {name: values[t] for name, values in boxes.items()}
+            frame = source.complete(raw, ref, box)
         _require(frame, list(types), ref)
         return frame
 
@@ -298,4 +299,5 @@ def read_contact_chunk(
         box = {name: values[t] for name, values in boxes.items()}
         return source.contacts(step.contacts, names, frame_of(particles, t), box)
 
-    return _chunk(steps, read, {name: variable(name).dtype for name in names}, length)
+    types = {name: variable(name).dtype for name in names}
+    return _chunk(steps, read, types, length)

@@ -280,7 +280,8 @@ def list_not_read(
         for ref in listed:
             report = Report.of(engine, ref, options.of_kind(kind), contacts=kind == "contacts")
             if report is not None:
-                names |= dict.fromkeys(name for name in ref.columns if name in report.not_read)
+                unread = [name for name in ref.columns if name in report.not_read]
+                names |= dict.fromkeys(unread)
         if names:
             lines.append(f"{kind}: {', '.join(names)}")
     return printable("\n".join(lines))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,16 +164,8 @@ class _Repeats:
 
     def kept(self, chosen: NDArray) -> _Repeats:
         """Return the contacts that a mask (n,) selects."""
-        return _Repeats(
-            indices=self.indices[chosen],
-            pair=self.pair[chosen],
-            mirrored=self.mirrored[chosen],
-            force=self.force[chosen],
-            point=self.point[chosen],
-            size=self.size[chosen],
-            radius=self.radius[chosen],
-            lattice=self.lattice,
-        )
+        names = [field.name for field in fields(self) if field.name != "lattice"]
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def of_one_pair(self) -> Iterator[tuple[int, NDArray]]:
         """Yield distances in the list, and whether the rows so far apart are of one pair (n - distance,)."""

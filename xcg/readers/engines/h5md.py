@@ -324,7 +324,8 @@ def _box(file: h5py.File, group: _Group, k: int, source: str) -> dict[str, Any]:
         raise SceneError(
             f"{source}: the box has the boundary {words}, expected {count} of 'none' and 'periodic'"
         )
-    periodic = "".join(compress(COMPONENTS, [word == "periodic" for word in words]))
+    wraps = [word == "periodic" for word in words]
+    periodic = "".join(compress(COMPONENTS, wraps))
     if not periodic:
         return {"periodic": ""}
     edges = None

@@ -366,8 +366,8 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
     if len(flags) == 1:
         flags *= len(COMPONENTS)
     if len(flags) == len(COMPONENTS) and {*flags} <= _PERIODIC | _OPEN:
-        periodic = compress(COMPONENTS, [flag in _PERIODIC for flag in flags])
-        return replace(ref, periodic="".join(periodic))
+        wraps = [flag in _PERIODIC for flag in flags]
+        return replace(ref, periodic="".join(compress(COMPONENTS, wraps)))
     if flags:  # old files do not say what is periodic
         ref = replace(
             ref, unknown=((f"{item!r} (pp is periodic, ff open)", "periodic='xyz', or ''"),)

@@ -133,8 +133,8 @@ def _read_header(header: _Header) -> StepRef:
         )
     if not all(map(math.isfinite, (*bounds, *(tilts or ()), time or 0.0))):
         header.refuse("has a time or box that is not finite")
-    ends = zip(walls[::2], walls[1::2], strict=True)
-    periodic = "".join(compress(COMPONENTS, [low == high == 0 for low, high in ends]))
+    wraps = [low == high == 0 for low, high in zip(walls[::2], walls[1::2], strict=True)]
+    periodic = "".join(compress(COMPONENTS, wraps))
     ref = StepRef(
         header.path,
         count,

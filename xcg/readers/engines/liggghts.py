@@ -233,9 +233,10 @@ def _cosines(vectors: NDArray, directions: NDArray) -> NDArray:
 def _first_rows(ref: StepRef) -> NDArray:
     """Return the first rows (n, columns) of a step; none if they are no numbers, which reading them says."""
     lines = next(iter(body_of(ref)), b"").split(b"\n")[: ref.rows][:_SAMPLE]
-    rows = [line.split() for line in lines]
+    rows = map(bytes.split, lines)
+    whole = [row for row in rows if len(row) == len(ref.columns)]
     try:
-        values = np.array([row for row in rows if len(row) == len(ref.columns)], float)
+        values = np.array(whole, float)
     except ValueError:
         values = np.empty((0, len(ref.columns)))
     return values[..., len(ref.columns) - len(without_index(ref.columns)) :]

@@ -116,7 +116,8 @@ class Mercury(Columnar):
             return [replace(ref, step=k) for k, ref in enumerate(refs)]
         refs = index_steps(paths, "mercury data", _data_steps)
         runs = {path: _restart_of(path, options) for path in paths}
-        _warn_of_boundaries([run for run in runs.values() if run is not None], refs, options)
+        restarts = [run for run in runs.values() if run is not None]
+        _warn_of_boundaries(restarts, refs, options)
         _check_shifts(refs, runs, options)
         boxes = [ref.box or () for ref in refs]
         lasting = [len(set(edges)) == 1 for edges in zip(*boxes, strict=True)]

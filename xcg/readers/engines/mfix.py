@@ -123,7 +123,8 @@ class Mfix(Vtk):
             Float32.
         """
         frame = super().read_particles(ref, options)
-        frame |= _shapes(ref, {array: frame.pop(array) for array in _SHAPE if array in frame})
+        shapes = {array: frame.pop(array) for array in _SHAPE if array in frame}
+        frame |= _shapes(ref, shapes)
         ids = frame.get("particle_id", np.empty(0))
         if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
             raise SceneError(

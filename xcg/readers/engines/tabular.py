@@ -112,7 +112,8 @@ def _begins_a_table(path: str, names: tuple[str, ...], words: Sequence[str]) -> 
     row = dict(zip(reversed(names), reversed(words), strict=False))
     ref = StepRef(path, 0, columns=names)
     for slots, needed in ((Table.PARTICLE_SLOTS, _POSITION), (Table.CONTACT_SLOTS, _ENDS)):
-        columns = assign(ref, {slot: slots[slot] for slot in needed}, ReadOptions()).values()
+        sought = {slot: slots[slot] for slot in needed}
+        columns = assign(ref, sought, ReadOptions()).values()
         if len(columns) >= 2 and all(_NUMBER.fullmatch(row[name]) for name in columns):
             return True
     return False
@@ -120,11 +121,12 @@ def _begins_a_table(path: str, names: tuple[str, ...], words: Sequence[str]) -> 
 
 def clock_of(columns: Sequence[str], by_caller: Mapping[str, str | None]) -> dict[str, str]:
     """Return the columns of the time and of the number of the step, as far as there are such."""
-    by_name = columns_by_name([name for name in columns if name not in by_caller], CLOCK_SLOTS)
+    free = [name for name in columns if name not in by_caller]
+    by_name = columns_by_name(free, CLOCK_SLOTS)
     clock_of_caller = {slot: name for name, slot in by_caller.items() if name in columns}
     clock = by_name | {slot: name for slot, name in clock_of_caller.items() if slot is not None}
     if not clock.keys() & CLOCK_SLOTS.keys():  # in another language, told by its unit
-        times = times_by_unit(name for name in columns if name not in by_caller)
+        times = times_by_unit(free)
         if times:
             clock["time"] = times[0]
     # the time, if there is one, separates the steps
@@ -135,7 +137,8 @@ def warn_of_unread_clock(ref: StepRef, options: ReadOptions) -> None:
     """Warn of a column that may hold times, where none separates the rows into steps."""
     if clock_of(ref.columns, options.names):
         return
-    likely = resembling_clock(name for name in ref.columns if name not in options.names)
+    free = [name for name in ref.columns if name not in options.names]
+    likely = resembling_clock(free)
     if likely:
         listed = ", ".join(map(repr, likely))
         warn_user(

@@ -64,7 +64,7 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
         For files without grains, and for missing files that are skipped.
     """
     listed = _existing(paths, options)
-    files = list(dict.fromkeys(file for step in listed for file in step.files))
+    files = list(dict.fromkeys(chain(*(step.files for step in listed))))
     scan = partial(_scan, lines=lines)
     scanned = dict(zip(files, remembered(files, f"vtk {lines=}", scan), strict=True))
     _warn_of_meshes(list(chain(*scanned.values())))
@@ -78,7 +78,8 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
         if len(parts) > 1:
             refs = [_joined(entry, refs)]
         names.append(entry.name)
-        steps.append([replace(ref, time=_time(ref.time, entry.time)) for ref in refs])
+        timed = [replace(ref, time=_time(ref.time, entry.time)) for ref in refs]
+        steps.append(timed)
     numbered = number_steps(names, steps)
     return timed_steps(_once(_with_columns(numbered)), options.extra.get("timestep"))
 

@@ -287,15 +287,15 @@ def _box(entries: Mapping[str, str], source: str) -> dict[str, Any]:
     words = re.findall(r"\w+", entries.get("pbc", "T T T").lower())
     if len(words) != 3 or not set(words) <= {*_TRUE, *_FALSE}:
         raise SceneError(f"{source}: pbc={entries['pbc'][:60]!r}, expected three of T and F")
-    periodic = "".join(compress(COMPONENTS, [word in _TRUE for word in words]))
-    return box_of_cell(cell, origin, periodic, source)
+    wraps = [word in _TRUE for word in words]
+    return box_of_cell(cell, origin, "".join(compress(COMPONENTS, wraps)), source)
 
 
 def _numbers(text: str, count: int, name: str, source: str) -> NDArray:
     numbers = re.findall(_NUMBER, text)
     if len(numbers) != count:
         raise SceneError(f"{source}: {name}={text[:80]!r}, expected {count} numbers")
-    return np.array([_float(number) for number in numbers])
+    return np.array(list(map(_float, numbers)))
 
 
 def _float(text: str) -> float:
