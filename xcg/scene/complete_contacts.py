@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.messages import SceneError
 from xcg.scene.contact_points import REPEAT, touching_points_of
@@ -83,36 +83,12 @@ def complete_contacts(
         )
     check_rows(typed, "contact", source)
     data_branch = typed.pop("contact_branch", None)
-    i, j = typed["contact_i"], typed["contact_j"]
-    number = np.asarray(frame.get("row_of_file", np.arange(len(i))))
-    ids = particles["particle_id"]
-    index_i, index_j = rows_of(ids, i), rows_of(ids, j)
-    self_contact = np.flatnonzero(i == j)
-    if self_contact.size:
-        index = self_contact[0]
-        raise SceneError(
-            f"{source}: contact row {number[index]} joins particle {i[index]} with itself; drop such rows. If it "
-            f"touches its own image, {REPEAT}"
-        )
-    if (i < 0).any():
-        index = int(np.flatnonzero(i < 0)[0])
-        raise SceneError(
-            f"{source}: contact row {number[index]} has id {i[index]} as 'contact_i'; a wall must stand as 'contact_j'"
-        )
-    unknown = index_j < 0
-    unknown &= j >= 0
-    unknown |= index_i < 0
-    if unknown.any() and not allow_unknown:
-        index = int(np.flatnonzero(unknown)[0])
-        name = "contact_i" if index_i[index] < 0 else "contact_j"
-        raise SceneError(
-            f"{source}: contact row {number[index]} has {name}={typed[name][index]}, and no particle has this id "
-            f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass "
-            "allow_unknown=True to treat unknown partners as walls"
-        )
-    derived = np.asarray(
-        frame.get("point_is_middle", np.full(len(i), "contact_point" not in typed))
+    count = len(typed["contact_i"])
+    number = np.asarray(frame.get("row_of_file", np.arange(count)))
+    index_i, index_j = _partners(
+        typed, number, particles["particle_id"], source, allow_unknown=allow_unknown
     )
+    derived = np.asarray(frame.get("point_is_middle", np.full(count, "contact_point" not in typed)))
     spheres = SphereContacts(
         typed, number, particles, index_i, index_j, data_branch, lattice, source
     )
@@ -141,8 +117,46 @@ def complete_contacts(
                 spheres.warn_of_points_elsewhere()
     if derived.any() or "contact_point" not in typed:
         typed["contact_point"] = touching_points_of(spheres, derived)
-    del spheres, index_i, index_j, unknown, derived
+    del spheres, index_i, index_j, derived
     return without_repeats(typed, number, particles, lattice, setup.sides, source)
+
+
+def _partners(
+    typed: Frame, number: NDArray, ids: NDArray, source: str, *, allow_unknown: bool
+) -> tuple[NDArray, NDArray]:
+    """Return the indices (n,) of both partners among sorted ids, negative for walls and unknown partners.
+
+    Raises
+    ------
+    SceneError
+        If a particle touches itself, i is a wall, or an id is unknown, unless that is allowed.
+    """
+    i, j = typed["contact_i"], typed["contact_j"]
+    index_i, index_j = rows_of(ids, i), rows_of(ids, j)
+    self_contact = np.flatnonzero(i == j)
+    if self_contact.size:
+        index = self_contact[0]
+        raise SceneError(
+            f"{source}: contact row {number[index]} joins particle {i[index]} with itself; drop such rows. If it "
+            f"touches its own image, {REPEAT}"
+        )
+    if (i < 0).any():
+        index = int(np.flatnonzero(i < 0)[0])
+        raise SceneError(
+            f"{source}: contact row {number[index]} has id {i[index]} as 'contact_i'; a wall must stand as 'contact_j'"
+        )
+    unknown = index_j < 0
+    unknown &= j >= 0
+    unknown |= index_i < 0
+    if unknown.any() and not allow_unknown:
+        index = int(np.flatnonzero(unknown)[0])
+        name = "contact_i" if index_i[index] < 0 else "contact_j"
+        raise SceneError(
+            f"{source}: contact row {number[index]} has {name}={typed[name][index]}, and no particle has this id "
+            f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass "
+            "allow_unknown=True to treat unknown partners as walls"
+        )
+    return index_i, index_j
 
 
 def _checked_geometry(
