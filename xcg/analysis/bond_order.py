@@ -232,7 +232,7 @@ class BondOrder(FrameAnalysis):
         original = np.flatnonzero(~shift.any(axis=1))
         itself = original[np.argsort(originals[original])]
         is_itself = near == itself[:, None]
-        # particles at the same place may push the particle itself out of the list
+        # particles at the same position may push the particle itself out of the list
         is_itself[~is_itself.any(axis=1), -1] = True
         near = near[~is_itself].reshape(len(position), count)
         bond = images[near] - position[:, None]

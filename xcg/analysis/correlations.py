@@ -363,7 +363,7 @@ def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:
 
 
 def falls_to(values: NDArray, at: NDArray, level: float = np.exp(-1.0)) -> NDArray:
-    """Return where values (..., n) at rising places (n,) first fall to a level, by interpolation.
+    """Return where values (..., n) at rising coordinates (n,) first fall to a level, by interpolation.
 
     NaN where they do not, are not above it at first, or are not known before.
     """

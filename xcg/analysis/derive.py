@@ -125,7 +125,7 @@ class _Coordination(FrameAnalysis):
     name = "derive"
 
     def reads(self, scene: Scene) -> list[str]:
-        """Return the places and partners."""
+        """Return the positions and partners."""
         return ["particle_id", "position", *CONTACT_VARIABLES[:-1]]
 
     def rows(self, scene: Scene) -> dict[str, Variable]:

@@ -228,7 +228,7 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
 
 @dataclass(frozen=True)
 class _Velocity(FrameAnalysis):
-    """Velocity of each particle from its places in the steps before and after."""
+    """Velocity of each particle from its positions in the steps before and after."""
 
     name = _NAME
     optional = MOTION
@@ -239,7 +239,7 @@ class _Velocity(FrameAnalysis):
         return (-1, 1)
 
     def reads(self, scene: Scene) -> list[str]:
-        """Return places and times."""
+        """Return positions and times."""
         return ["position", "time"]
 
     def rows(self, scene: Scene) -> dict[str, Variable]:

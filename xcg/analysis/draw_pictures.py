@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ARROWS = 20  # along the longer axis of a map
-AT_REST = 0.1  # of the speed whose arrow fills its place: slower ones have no arrow
+AT_REST = 0.1  # of the speed whose arrow fills its cell: slower ones have no arrow
 FASTEST = 98  # percentile of that speed, so that single grains do not make all other arrows short
 NARROW = 2.0  # inches of a map, in which numbers below it may run into each other
 LOWEST = 1.0  # inches of a colour bar, in which its label can be read
@@ -207,7 +207,7 @@ class Frames:
         return mesh
 
     def _draw_arrows(self, ax: Axes, x: Any, y: Any, along: Any, rise: Any, apart: float) -> None:
-        """Draw arrows; the longest are as long as their spacing, and slow places have none."""
+        """Draw arrows; the longest are as long as their spacing, and slow nodes have none."""
         moving = np.hypot(along, rise) >= AT_REST * self.fastest
         ax.quiver(
             x[moving],
@@ -228,7 +228,7 @@ class Frames:
 def _arrows_on(
     picture: xr.Dataset, across: str, up: str
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
-    """Return places and components of arrows on a map, (up, across), and how far they are apart."""
+    """Return positions and components of arrows on a map, (up, across), and how far they are apart."""
     every = max(1, round(max(picture.sizes[a] for a in (across, up)) / ARROWS))
     some = picture.isel({a: slice(every // 2, None, every) for a in (across, up)})
     along = some[f"{ARROW}{across}"].transpose(up, across).to_numpy()
@@ -241,7 +241,7 @@ def _arrows_on(
 def _arrows_in_circle(
     picture: xr.Dataset, name: str
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
-    """Return places and components of arrows as `_arrows_on`, on a grid of squares in the plane of a circle."""
+    """Return positions and components of arrows as `_arrows_on`, on a grid of squares in the plane of a circle."""
     rim, turn, _ = drawing.cells_of(picture[name].transpose("theta", "r"), "flat")
     apart = 2 * rim[-1] / ARROWS
     line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)

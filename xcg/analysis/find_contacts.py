@@ -99,7 +99,7 @@ class _Search(FrameAnalysis):
     max_contacts: int | None
 
     def reads(self, scene: Scene) -> tuple[str, ...]:
-        """Return places and sizes."""
+        """Return positions and sizes."""
         return READ
 
     def rows(self, scene: Scene) -> dict[str, Variable]:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # rounds of the effective variance: each takes the slope of the law from the fit before
 _ROUNDS = 4
-_SMOOTH = 200  # places of a curve
+_SMOOTH = 200  # points of a curve
 _LOGARITHMIC = 10.0  # last over first x, from which a curve is drawn over a logarithm
 CURVE = "curve"  # variable of a fit that pictures draw
 _FREEDOM = 3  # degrees of freedom below which a warning is given
@@ -71,7 +71,7 @@ def fit_law(
         Each parameter and its standard error by name (``mu_s``, ``mu_s_error``, ...),
         ``covariance`` (parameter, other_parameter), ``chi_squared``, the sum of squared residuals
         over squared errors (NaN without errors), ``degrees_of_freedom``, ``point_count``, and
-        ``fitted``, the law at each `x`. ``curve`` (curve_x) is the law at 200 places between the
+        ``fitted``, the law at each `x`. ``curve`` (curve_x) is the law at 200 points between the
         ends of `x`, and ``curve_error`` its standard error; ``fit_x``, ``fit_y``, ``fit_x_error``
         and ``fit_y_error`` are the points that were fitted. ``law.cg.plot()`` draws them.
         The attribute ``law`` names the law that was fitted and

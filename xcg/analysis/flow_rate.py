@@ -131,7 +131,7 @@ def flow_rate(
         flux = _through_points(scene, surface, fields, shared, distance)
     rates = {f"{flow}_flow_rate": _rate(flux, flow, parts[flow], scene) for flow in quantities}
     result = xr.Dataset(rates)
-    # the place of the plane, and the options of fields
+    # the position of the plane, and the options of fields
     result = result.drop_vars([*COMPONENTS, "direction", "width", SETUP], errors="ignore")
     return result.assign_attrs(provenance(scene.ds, call) | attrs_of(smooth, surface))
 

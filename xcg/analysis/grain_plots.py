@@ -121,7 +121,7 @@ def _check_variable(ds: xr.Dataset, name: str) -> None:
 def _cut(
     plane: str, at: Mapping[str, float] | None, frame: Frame, lattice: Lattice
 ) -> dict[str, float]:
-    """Return the axis and place of the plane that cuts a volume, by default in the middle of its shortest axis."""
+    """Return the axis and position of the plane that cuts a volume, by default in the middle of its shortest axis."""
     if at and len(plane) == 2:
         raise ValueError(
             f"at={plain(at)}: the scene is one layer along {', '.join(plane)}, which is drawn whole"
@@ -133,7 +133,7 @@ def _cut(
             raise ValueError(
                 f"at={plain(at)}: expected one axis and a coordinate, such as {{'y': 0.0}}"
             )
-        return {axis: float(place) for axis, place in at.items()}
+        return {axis: float(coordinate) for axis, coordinate in at.items()}
     position = frame["position"]
     if not len(position):
         return {plane[1]: 0.0}
@@ -148,7 +148,7 @@ def circles_of(
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Return centres (n, 2) and radii (n,) of circles on two axes, and the rows of their particles.
 
-    They are cut at places on other axes (m), also by planes through images; whole without a cut.
+    They are cut at coordinates on other axes (m), also by planes through images; whole without a cut.
     """
     position = frame["position"]
     radius = frame["diameter"] / 2

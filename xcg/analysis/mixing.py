@@ -21,7 +21,7 @@ grains of a finite population. That is about ``sqrt(2 / K) / (n - 1)`` for K cel
 cells of ten grains or more are believed.
 
 The index of segregation compares heights of centres, ``(z_a - z_rest) / (z_top - z_bottom)``, with
-the heights of the same grains sorted so that the phase has the uppermost places (where it is below the
+the heights of the same grains sorted so that the phase is uppermost (where it is below the
 rest, the lowest): 1 where the phase lies on top, -1 at the bottom, 0 on average at random, whatever
 its share. Heights weigh by volumes. In a
 uniform bed of height H it is ``2 (z_a - z_rest) / H``.

@@ -118,7 +118,7 @@ def _crossings(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
 
 
 def _first_crossing(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
-    """Return the first place (...) where values (..., n) at z (n,) rise to `least` (...)."""
+    """Return the first height (...) where values (..., n) at z (n,) rise to `least` (...)."""
     above = values >= least[..., None]
     crosses = above[..., 1:] & ~above[..., :-1]
     k = crosses.argmax(-1)
@@ -217,7 +217,7 @@ def nodes_a_support(nodes: xr.Dataset | xr.DataArray, axes: Sequence[str], suppo
 
 
 def _fitted(height: NDArray, points: NDArray, shared: float) -> NDArray:
-    """Fit planes to heights (..., nodes along k axes) at places (nodes, k).
+    """Fit planes to heights (..., nodes along k axes) at points (nodes, k).
 
     Returns
     -------

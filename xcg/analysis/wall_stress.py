@@ -174,7 +174,7 @@ class _WallStress(FrameAnalysis):
         }
 
     def coords(self, scene: Scene) -> dict[str, xr.Variable]:
-        """Return places and areas of the cells, and the axes of shear."""
+        """Return positions and areas of the cells, and the axes of shear."""
         return _coordinates(self.cells, self.setup.unit_system)
 
     def attrs(self, scene: Scene) -> dict[str, Any]:
@@ -286,7 +286,7 @@ def _smear(task: _WallStress, point: NDArray, values: NDArray, lattice: Lattice)
 
 
 def _coordinates(cells: SurfaceCells, system: str) -> dict[str, xr.Variable]:
-    """Return places and areas of the cells, and the axes of shear."""
+    """Return positions and areas of the cells, and the axes of shear."""
     metre = units_in("m", system)
     units = {"theta": "rad", "triangle": "1"}
     coords: dict[str, xr.Variable] = {}

@@ -47,7 +47,7 @@ def explore(ds: xr.Dataset) -> Explorer:
     """Show pictures of a scene or a result in a notebook, with controls.
 
     The controls choose the field, its component and phase, a map, a slice or a profile, the step
-    and the place of a slice. Of a scene, grains can be drawn on top, and a slider changes the width
+    and the position of a slice. Of a scene, grains can be drawn on top, and a slider changes the width
     of the kernel. Beside the field, bias, noise and total error of the step are drawn against the
     width, as `choose_width` computes them. The Python calls that make the picture
     are printed below it.
@@ -210,7 +210,7 @@ class Explorer:
         return self._picture[self._picture.attrs["drawn"]]
 
     def _numbers_as_csv(self) -> io.StringIO:
-        """Return the numbers of the present picture and their errors, with their places, as CSV."""
+        """Return the numbers of the present picture and their errors, with coordinates, as CSV."""
         text = io.StringIO()
         if self._picture is not None:
             name = self._picture.attrs["drawn"]

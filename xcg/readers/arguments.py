@@ -96,7 +96,7 @@ class Arguments:
         return {kind: paths for kind, paths in kinds.items() if paths is not None}
 
     def tolerating(self) -> AbstractContextManager[dict[Any, str]]:
-        """Return a context that collects faults of files by their place, if these are skipped."""
+        """Return a context that collects faults of files by file and step, if these are skipped."""
         return collecting() if self.on_error == "skip" else nullcontext({})
 
     def check_beside_saved(self, saved: str) -> None:

@@ -61,7 +61,7 @@ def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[i
     return tuple(min(size, count - start) for start in range(0, count, size))
 
 
-def steps_in_a_task(count: int, rows: float, held: int, seconds: float = 0.0) -> int:
+def steps_in_a_task(count: int, size: float, held: int, seconds: float = 0.0) -> int:
     """Count steps that make a sensible task.
 
     Tasks are equal, and fewer steps than two tasks take are one: two threads would wait for each
@@ -71,13 +71,13 @@ def steps_in_a_task(count: int, rows: float, held: int, seconds: float = 0.0) ->
     ----------
     count : int
         Number of all steps.
-    rows, held, seconds
-        Rows and bytes in memory of a step, and the time to read it.
+    size, held, seconds
+        Particles and contacts of a step, its bytes in memory, and the time to read it.
     """
     from dask import config  # slow to import
     from dask.utils import parse_bytes
 
-    steps = max(1, math.ceil(_TASK / max(seconds + rows * _ROW, 1e-9)))
+    steps = max(1, math.ceil(_TASK / max(seconds + size * _ROW, 1e-9)))
     limit = parse_bytes(config.get("array.chunk-size")) // max(held, 1)
     tasks = max(1, count // steps)
     return max(1, min(math.ceil(count / tasks), limit))

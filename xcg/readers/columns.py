@@ -330,7 +330,7 @@ def unify_sizes(frame: Frame, ref: StepRef) -> None:
 
 
 def _add_unscaled(values: dict[str, NDArray], position: str, scaled: str, ref: StepRef) -> None:
-    """Add the components of a place that follow from fractions of the box.
+    """Add the components of a position that follow from fractions of the box.
 
     Raises
     ------

@@ -79,7 +79,7 @@ def warn_of_missing_facts(
             "taken; say units='SI', 'reduced' (LAMMPS's lj) or factors such as {'length': 1e-3}, or "
             f"{listing.reader.UNNAMED_UNITS}"
         )
-    moved = _moved_rows(listing)
+    moved = _moved_grains(listing)
     if listing.reader.ROWS_ARE_IDS and lacks_ids(listing, ends):
         warn_user(
             f"{moved}: the files hold no ids, and rows are other particles where one was removed: velocities from "
@@ -129,10 +129,10 @@ def _cause_of_steps(listing: Listing) -> str:
 def lacks_ids(listing: Listing, ends: Mapping[StepRef, Frame]) -> bool:
     """Return whether rows without ids may be other particles in every step."""
     lacking = any("particle_id" not in frame for frame in ends.values())
-    return lacking and (not listing.reader.ROWS_ARE_IDS or bool(_moved_rows(listing)))
+    return lacking and (not listing.reader.ROWS_ARE_IDS or bool(_moved_grains(listing)))
 
 
-def _moved_rows(listing: Listing) -> str:
+def _moved_grains(listing: Listing) -> str:
     """Return the first steps between which the number of particles falls, in words; "" without such steps."""
     for before, after in pairwise(step.particles for step in listing.steps):
         if after.rows < before.rows:

@@ -69,8 +69,11 @@ class _Number(NamedTuple):
 def sort_by_numbers(paths: Iterable[str]) -> list[str]:
     """Sort paths by the numbers in them: ``step9`` before ``step10``, ``t_0.15`` before ``t_0.2``."""
     listed = sorted(paths)
-    rows, _ = _numbers_of(listed)
-    keys = {path: _natural_key(path, row) for path, row in zip(listed, rows, strict=True)}
+    numbers, _ = _numbers_of(listed)
+    keys = {
+        path: _natural_key(path, listed_numbers)
+        for path, listed_numbers in zip(listed, numbers, strict=True)
+    }
     return sorted(listed, key=keys.__getitem__)
 
 
@@ -79,11 +82,11 @@ def suffix_of(path: str) -> str:
     return os.path.splitext(plain_name(path))[1].lower()
 
 
-def _natural_key(path: str, row: Sequence[_Number]) -> list[str | float]:
+def _natural_key(path: str, numbers: Sequence[_Number]) -> list[str | float]:
     """Return texts and the numbers between them in turn, numbers by value."""
     key: list[str | float] = []
     end = 0
-    for number in row:
+    for number in numbers:
         key += path[end : number.start], number.value
         end = number.start + len(number.text)
     return [*key, path[end:]]
@@ -150,27 +153,27 @@ def _without(text: str, number: _Number | None) -> str:
 
 def _last_numbers(names: Sequence[str]) -> list[_Number | None]:
     """Return the last number of each name; None for a decimal that is not called a time, as in "mu0.5"."""
-    rows, _ = _numbers_of(names)
+    numbers_of_names, _ = _numbers_of(names)
     last: list[_Number | None] = []
-    for name, row in zip(names, rows, strict=True):
+    for name, numbers in zip(names, numbers_of_names, strict=True):
         last.append(None)
-        if row and (row[-1].is_whole or _OF_TIME.search(name[: row[-1].start])):
-            last[-1] = row[-1]
+        if numbers and (numbers[-1].is_whole or _OF_TIME.search(name[: numbers[-1].start])):
+            last[-1] = numbers[-1]
     return last
 
 
 def _varying(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
     """Return the numbers that vary and may be steps or times, for each text; and why they cannot be."""
-    rows, doubt = _numbers_of(texts)
+    numbers_of_texts, doubt = _numbers_of(texts)
     if doubt:
         return [], doubt
-    counts = {len(row): text for row, text in zip(rows, texts, strict=True)}
+    counts = {len(listed): text for listed, text in zip(numbers_of_texts, texts, strict=True)}
     if len(counts) > 1:
         few, many = min(counts), max(counts)
         return [], f"{counts[few]!r} holds {few} numbers, and {counts[many]!r} {many}"
     columns = [
         list(numbers)
-        for numbers in zip(*rows, strict=True)
+        for numbers in zip(*numbers_of_texts, strict=True)
         if len({number.value for number in numbers}) > 1
     ]
     if not all(_rise_together(column, columns[-1]) for column in columns[:-1]):
@@ -221,24 +224,26 @@ def _numbers_of(texts: Sequence[str]) -> tuple[list[list[_Number]], str]:
     whole = [[_Number(m[0], m.start()) for m in _WHOLE.finditer(text)] for text in texts]
     if not _POINT.search("\n".join(texts)):
         return whole, ""
-    rows = [[_Number(m[0], m.start()) for m in _NUMBER.finditer(text)] for text in texts]
-    if len(set(map(len, rows))) > 1:
+    numbers_of_texts = [
+        [_Number(m[0], m.start()) for m in _NUMBER.finditer(text)] for text in texts
+    ]
+    if len(set(map(len, numbers_of_texts))) > 1:
         return whole, ""
     doubt = ""
     split = []
-    for place, column in enumerate(zip(*rows, strict=True)):
+    for k, column in enumerate(zip(*numbers_of_texts, strict=True)):
         before = [text[: number.start] for text, number in zip(texts, column, strict=True)]
         words = [number.text for number in column]
         decimal = _are_decimals(words, before)
         if decimal is None:
             doubt = f"{column[0].text!r} in the names may be a decimal or two numbers"
         if not decimal:
-            split.append(place)
+            split.append(k)
     separate = []
-    for row in rows:
+    for listed in numbers_of_texts:
         numbers = []
-        for place, number in enumerate(row):
-            if place in split:
+        for k, number in enumerate(listed):
+            if k in split:
                 parts = _WHOLE.finditer(number.text)
                 numbers += [_Number(m[0], number.start + m.start()) for m in parts]
             else:

@@ -84,5 +84,5 @@ def _sensible(series: Series) -> int:
     held: int = sum(
         math.prod(shape[1:]) * np.dtype(dtype).itemsize for dtype, shape in series.arrays().values()
     )
-    rows = sum(ref.rows for ref in refs) / len(series.steps)
-    return steps_in_a_task(len(series.steps), rows, held, read * _BYTE)
+    size = sum(ref.rows for ref in refs) / len(series.steps)
+    return steps_in_a_task(len(series.steps), size, held, read * _BYTE)

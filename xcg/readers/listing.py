@@ -33,7 +33,7 @@ class Listing:
     steps : sequence of Step
         Steps of the scene, each with its contacts.
     left_out : dict
-        Causes of faults that were tolerated, by their place.
+        Causes of faults that were tolerated, by file and step.
     start : str or None
         Date from which times count (ISO 8601), where files or arguments hold dates.
     once : Once
@@ -57,10 +57,10 @@ class Listing:
 
     @property
     def skipped(self) -> list[str]:
-        """Causes of faults that were tolerated, each with its place."""
+        """Causes of faults that were tolerated, each with its file."""
         causes = []
         for source, cause in self.left_out.items():
-            # most causes name the file; of one with many steps, the place goes on " from byte ..."
+            # most causes name the file; of one with many steps, the source goes on " from byte ..."
             if source.partition(" from byte ")[0] not in cause:
                 cause = f"{source}: {cause}"
             causes.append(cause)

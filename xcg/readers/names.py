@@ -38,7 +38,7 @@ class Names:
     Attributes
     ----------
     aliases : str
-        What it is called, with commas between, the preferred first; "?" is the place of the axis.
+        What it is called, with commas between, the preferred first; "?" stands where the axis does.
     hints : str
         Words that resemble it, by their beginning ("veloc*"), or as the only one ("=cx"): named in
         a warning where such a column is not read.

@@ -166,9 +166,9 @@ def _are_pieces(groups: Sequence[Sequence[Step]], kind: str, read: Read) -> bool
             if errors.recorded() is None:
                 raise
             continue
-        rows = [_identities(frame, refs, kind) for frame in frames]
-        different = len(np.unique(np.concatenate(rows), axis=0))
-        return different == sum(len(np.unique(ids, axis=0)) for ids in rows)
+        identities = [_identities(frame, refs, kind) for frame in frames]
+        different = len(np.unique(np.concatenate(identities), axis=0))
+        return different == sum(len(np.unique(ids, axis=0)) for ids in identities)
     return False
 
 

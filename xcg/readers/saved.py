@@ -161,8 +161,8 @@ class _Read:
 
 def _sensible(ds: xr.Dataset) -> int:
     """Count steps of a sensible chunk: whole chunks of the file."""
-    rows = sum(ds.sizes.get(dim, 0) for dim in ("particle", "contact"))
+    size = sum(ds.sizes.get(dim, 0) for dim in ("particle", "contact"))
     on_disk: int = ds["position"].encoding.get("preferred_chunks", {}).get("time", 1)
     count = ds["time"].size
-    steps = steps_in_a_task(count, rows, ds.nbytes // max(1, count))
+    steps = steps_in_a_task(count, size, ds.nbytes // max(1, count))
     return -(-steps // on_disk) * on_disk

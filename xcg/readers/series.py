@@ -29,7 +29,9 @@ from xcg.scene.schema import VARIABLES, Frame, Setup, variable
 from xcg.scene.sizes import measure_frames, measured_variables
 from xcg.steps.faults import FAULTS
 
-_MOST_ROWS_OF_MOTION = 20_000  # particles of the second step, if it is read for a comparison alone
+_MOST_GRAINS_OF_MOTION = (
+    20_000  # particles of the second step, if it is read for a comparison alone
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,7 @@ def make_series(
             check_scene(frame, setup, images, is_volume=True)
             names = [name for name in dict.fromkeys([*VARIABLES, *frame]) if name in frame]
             types = {name: frame[name].dtype for name in names}
-            if ref.rows <= _MOST_ROWS_OF_MOTION:
+            if ref.rows <= _MOST_GRAINS_OF_MOTION:
                 first = frame
         # of two large steps the last: dask begins with it
         source.opened.keep(ref, frame, beside=bool(ends))
@@ -142,7 +144,7 @@ def _check_times_of_motion(series: Series, first: Frame, images: Lattice) -> Non
     if series.times is None or len(series.steps) < 2:
         return
     ref = series.steps[1].particles
-    if ref.rows > _MOST_ROWS_OF_MOTION:
+    if ref.rows > _MOST_GRAINS_OF_MOTION:
         return
     source = series.source
     try:

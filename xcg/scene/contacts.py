@@ -209,7 +209,7 @@ class Contacts:
 
     @property
     def first(self) -> NDArray:
-        """1 for the first contact of each pair, 0 for further ones (bodies may touch in several places).
+        """1 for the first contact of each pair, 0 for further ones (bodies may touch at several points).
 
         Periodic images of one particle are several partners: in small boxes, grains touch on both
         sides.

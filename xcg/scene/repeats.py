@@ -41,7 +41,7 @@ def without_repeats(
     distance from the centre apart, are one contact unless `sides` is "separate": with the mean of both forces,
     points, normals and overlaps for "mean", or as the row that comes first for "first". Other
     variables come from the first row. A warning states how many, and how far they differ, where
-    forces do by more than 1e-4. Other contacts of one pair, which differ in force or place, all
+    forces do by more than 1e-4. Other contacts of one pair, which differ in force or point, all
     stay.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Warnings about implausible scenes: sizes, places, boxes, densities and times that contradict each other.
+"""Warnings about implausible scenes: sizes, positions, boxes, densities and times that contradict each other.
 
 Checks look at samples of the grains, so that they take no noticeable time.
 """

@@ -90,10 +90,10 @@ class Particles:
         nothing = np.empty((0, 0)), np.empty((0, 3))
         if "diameter" not in self.frame or self.count < FEW:
             return nothing
-        places = self.sample["position"]
+        sampled = self.sample["position"]
         # a grain, as there may be none in the middle of a drum
-        middle = places[((places - np.median(places, axis=0)) ** 2).sum(axis=1).argmin()]
-        low, high = np.quantile(places[:, self.setup.axes], [0.02, 0.98], axis=0)
+        middle = sampled[((sampled - np.median(sampled, axis=0)) ** 2).sum(axis=1).argmin()]
+        low, high = np.quantile(sampled[:, self.setup.axes], [0.02, 0.98], axis=0)
         share = min(1.0, _REGION / self.count)
         reach = 0.5 * (high - low).max() * share ** (1 / len(self.setup.axes))
         inside = self._around(middle, reach)
@@ -102,7 +102,7 @@ class Particles:
                 break
             reach *= 0.5
             inside = self._around(middle, reach)
-        if not FEW <= len(inside) <= 2 * _REGION:  # few, or many in one place
+        if not FEW <= len(inside) <= 2 * _REGION:  # few, or many at one point
             return nothing
         position, diameter = (self.frame[name][inside] for name in ("position", "diameter"))
         to_edge = reach - np.abs(position - middle)[:, self.setup.axes].max(axis=1)

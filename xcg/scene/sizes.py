@@ -152,7 +152,7 @@ def measures_of(ds: xr.Dataset) -> dict[str, Any]:
 
     Nothing is read. Variables may have been replaced since they were measured. Those in memory are
     looked at: where grains of the first or the last step lie outside the extent, the extent of
-    these steps is measured anew, and the sizes where diameters lie outside their range: places say
+    these steps is measured anew, and the sizes where diameters lie outside their range: positions say
     nothing of sizes. Attributes of lazy variables that were computed from others are left out.
     """
     measures = {name: ds.attrs[name] for name in MEASURES if name in ds.attrs}

@@ -309,7 +309,7 @@ def _word(words: list[str], k: int) -> str:
 
 
 class _Scanner:
-    """Lines of words of a file, and the places of the values between them."""
+    """Lines of words of a file, and the offsets of the values between them."""
 
     def __init__(self, file: BinaryIO, path: str) -> None:
         self._file = file
@@ -380,7 +380,7 @@ class _Scanner:
         return _KINDS[text]
 
     def values(self, name: str, kind: str, count: int, components: int = 1) -> Array:
-        """Return the place of values, and skip them."""
+        """Return the array at the present offset, and skip its values."""
         if not 1 <= components <= MOST_COMPONENTS:
             raise self.damaged(
                 f"{name!r} has {components} components; expected 1 to {MOST_COMPONENTS}"

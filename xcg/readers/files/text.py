@@ -125,7 +125,7 @@ class Scanner:
         self._name = path
         self._most = most_text(path)
         self._data = b""  # read from the stream
-        self._at = 0  # place in it of the next byte
+        self._at = 0  # offset in it of the next byte
         self._blank = 0  # blank lines since the last other one
         self._block = _FIRST_BLOCK
         self.offset = 0
