@@ -142,16 +142,17 @@ def extents_of(nodes: Nodes, extent: Mapping[str, float], scene: Scene) -> dict[
         raise ValueError(
             f"extent names {loose}, but the averaged axes are {list(nodes.averaged)}: leave it out"
         )
-    lengths: dict[str, float | None] = dict.fromkeys(nodes.averaged)
-    for a in nodes.averaged:
-        if a in extent:
-            lengths[a] = float(extent[a])
-        elif a not in scene.edges and not scene.tilted:
-            raise ValueError(
-                f"fields are averaged along {a!r}, and the scene has no finite box there: give the length that the "
-                f"integral is divided by, extent={{{a!r}: length}}, or resolve or fix the axis (axes=, at=)"
-            )
-    return lengths
+    known = {*extent, *scene.edges}
+    unknown = [a for a in nodes.averaged if a not in known and not scene.tilted]
+    if unknown:
+        edges = ", ".join(f"{a!r}: ({a}0, {a}1)" for a in unknown)
+        lengths = ", ".join(f"{a!r}: length" for a in unknown)
+        raise ValueError(
+            f"fields are averaged along {' and '.join(map(repr, unknown))}, and the scene has no finite box there: "
+            f"give its edges in xcg.open_scene or xcg.scene_from_arrays, box={{{edges}}}, or here the length that the "
+            f"integral is divided by, extent={{{lengths}}}; or resolve or fix the axis (axes=, at=)"
+        )
+    return {a: float(extent[a]) if a in extent else None for a in nodes.averaged}
 
 
 def kernels_of(scene: Scene, request: Request) -> list[Kernel]:
