@@ -368,8 +368,6 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
     if len(flags) == len(COMPONENTS) and {*flags} <= _PERIODIC | _OPEN:
         wraps = [flag in _PERIODIC for flag in flags]
         return replace(ref, periodic="".join(compress(COMPONENTS, wraps)))
-    if flags:  # old files do not say what is periodic
-        ref = replace(
-            ref, unknown=((f"{item!r} (pp is periodic, ff open)", "periodic='xyz', or ''"),)
-        )
-    return ref
+    # files of other codes, and old ones, do not say what is periodic
+    words = f"{item!r}{'' if flags else ' without flags'} (pp is periodic, ff open)"
+    return replace(ref, unknown=((words, "periodic='xyz', or ''"),))
