@@ -39,7 +39,18 @@ def room_for(rows: int) -> NDArray:
 
 @leaf
 def run(
-    instructions, records, columns, source, fields, stores, target, index, order, tile, scratch
+    instructions,
+    records,
+    columns,
+    source,
+    fields,
+    stores,
+    target,
+    index,
+    order,
+    fits,
+    tile,
+    scratch,
 ):
     """Run the instructions of a program for all nodes.
 
@@ -65,6 +76,8 @@ def run(
     order : (nodes,) or None
         Which record is that of each node; None where records are in that order, which leaves code
         out.
+    fits : True or None
+        None where no step is a fit, which leaves its code out.
     tile : (n,)
         Scratch for as many records as a tile has nodes, and eight more, of the largest width.
     scratch : (rows, TILE)
@@ -91,7 +104,8 @@ def run(
                 field = fields[stores[r, 0]]
                 _store(field, stores[r], target[r], index, first, many, scratch)
             elif operation == FIT:
-                fit_rows(scratch, a, r, many, b)
+                if fits is not None:
+                    fit_rows(scratch, a, r, many, b)
             elif operation == LOAD:
                 _combine(np.uint64(MULTIPLY), scratch, r, source[a, 0], source[a, 1])
             else:

@@ -257,16 +257,22 @@ def fill_gauss(kind, table, points, weights, length, along, q2, count, out):
 # --- arrays of points ------------------------------------------------------------------------------------
 
 
-@jit
-def sample(kind, table, q, derivative):
-    """Values, or derivatives with respect to q, at distances q (n,); zero at and beyond the cutoff."""
-    out = np.zeros(q.size)
+@leaf
+def _fill_sample(kind, table, q, derivative, out):
     for i in range(q.size):
+        out[i] = 0.0
         if q[i] < 1.0:
-            if derivative:
-                out[i] = q[i] * gradient(kind, table, q[i] * q[i])
-            else:
+            if derivative is None:
                 out[i] = value(kind, table, q[i] * q[i])
+            else:
+                out[i] = q[i] * gradient(kind, table, q[i] * q[i])
+
+
+def sample(kind: int | None, table: NDArray | None, q: NDArray, *, derivative: bool) -> NDArray:
+    """Values, or derivatives with respect to q, at distances q (n,); zero at and beyond the cutoff."""
+    out = np.empty(q.size)
+    # None leaves code out
+    _fill_sample(kind, table, q, True if derivative else None, out)
     return out
 
 

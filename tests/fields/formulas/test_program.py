@@ -51,6 +51,16 @@ def test_a_program_gives_what_the_registry_gives(options):
     assert_same(played, plain)
 
 
+@pytest.mark.parametrize(
+    ("field", "fits"), [("density", None), ("velocity", None), ("granular_temperature", True)]
+)
+def test_code_of_the_fit_is_left_out_where_no_field_takes_it(field, fits):
+    ds = xcg.datasets.random_scene(60, seed=1)
+    with mock.patch.object(program.loops, "run", wraps=program.loops.run) as run:
+        ds.cg.coarse_grain(field, width=0.6)
+    assert {call.args[9] for call in run.call_args_list} == {fits}
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_programs_of_any_fields_in_any_order(seed):
     """Rows are used anew: each field must be stored before that, whatever else is asked for."""

@@ -97,6 +97,7 @@ class Program:
             self.target,
             place,
             order,
+            True if (self.instructions[:, 0] == loops.FIT).any() else None,
             np.empty((loops.TILE + EIGHT) * max(widths)),
             scratch,
         )

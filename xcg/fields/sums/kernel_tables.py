@@ -95,7 +95,9 @@ def check_table(name: str, profile: Profile) -> None:
     if not profile_integral(profile, 3) > 0:
         raise ValueError(f"the profile of kernel {name!r} must have a positive integral")
     largest = _largest(profile)
-    error = np.abs(codes.sample(codes.TABLE, table_of(profile, 0), _PLACES, False) - exact)
+    error = np.abs(
+        codes.sample(codes.TABLE, table_of(profile, 0), _PLACES, derivative=False) - exact
+    )
     if error.max() > _MOST_ERROR * largest:
         warn_user(
             f"kernel {name!r}: sums use its profile to {error.max() / largest:.1e} of its largest value, worst at "

@@ -141,7 +141,7 @@ class Kernel:
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)
         q = np.abs(np.asarray(r, float)) / self.cutoff
-        values = codes.sample(w.kind, w.table, np.ravel(q), derivative).reshape(q.shape)
+        values = codes.sample(w.kind, w.table, np.ravel(q), derivative=derivative).reshape(q.shape)
         if derivative:
             return values * (w.norm / self.cutoff)
         return values * w.norm
