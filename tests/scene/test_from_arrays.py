@@ -64,3 +64,19 @@ def test_contacts_must_be_given_for_each_step():
 def test_padding_beside_a_variable_of_another_length_raises():
     with pytest.raises(xcg.SceneError, match="has shape"):
         xcg.scene_from_arrays(np.zeros((2, 3)), diameter=[1.0, 1.0], density=1.0, particle_id=[-1])
+
+
+def test_rows_are_no_ids_where_a_particle_is_removed():
+    places = np.array([[0.1, 0.5, 0.5], [0.3, 0.5, 0.5], [0.5, 0.5, 0.5]])
+    sizes = [np.full(3, 0.1), np.full(2, 0.1)]
+    removed = [places, places[1:] + np.array([0.01, 0.0, 0.0])]
+    options = {"density": 1.0, "time": [0.0, 0.01]}
+    ds = xcg.scene_from_arrays(removed, diameter=sizes, **options)
+    with pytest.raises(xcg.SceneError, match=r"give particle_id= to xcg\.scene_from_arrays"):
+        ds.cg.derive("velocity")
+    ids = [[0, 1, 2], [1, 2]]
+    ds = xcg.scene_from_arrays(removed, diameter=sizes, particle_id=ids, **options)
+    np.testing.assert_allclose(ds.cg.derive("velocity").velocity[0, 1:, 0], 1.0)
+    added = [places[:2], places + np.array([0.01, 0.0, 0.0])]
+    ds = xcg.scene_from_arrays(added, diameter=sizes[::-1], **options)
+    np.testing.assert_allclose(ds.cg.derive("velocity").velocity[0, :2, 0], 1.0)

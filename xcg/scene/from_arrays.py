@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from xcg.scene.box import domain_of
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
 from xcg.scene.complete_contacts import complete_contacts
+from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.frame import stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion, check_scene
@@ -240,6 +242,10 @@ def scene_from_arrays(
     scene = to_dataset(arrays, time=times, step=numbers, box=domain, setup=setup, measured=measured)
     if start:
         scene = scene.assign_attrs(start=start)
+    counts = [len(rows) for rows in steps["position"]]
+    # rows are other particles where one was removed
+    if "particle_id" not in steps and any(after < before for before, after in pairwise(counts)):
+        scene["particle_id"].attrs |= ROW_NUMBERS
     return scene
 
 

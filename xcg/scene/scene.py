@@ -279,10 +279,10 @@ class Scene:
         """Raise SceneError for a scene whose rows may be other particles in every step."""
         if "rows" in self.columns["particle_id"].attrs:
             raise SceneError(
-                f"{purpose} follows particles by their ids, and the files hold none: rows may be other "
+                f"{purpose} follows particles by their ids, and the data hold none: rows may be other "
                 "particles in every step. Map the column of ids in xcg.open_scene, "
-                "names={'...': 'particle_id'}; if rows are the same particles in all steps, say so by "
-                "del ds.particle_id.attrs['rows']"
+                "names={'...': 'particle_id'}, or give particle_id= to xcg.scene_from_arrays; if rows "
+                "are the same particles in all steps, say so by del ds.particle_id.attrs['rows']"
             )
 
 
