@@ -10,8 +10,8 @@ def test_plans_leave_their_rows_behind_and_look_them_up_again():
     plan = xcg.datasets.random_scene(50).cg.explain(["velocity", "stress"], axes="z")
     again = pickle.loads(pickle.dumps(plan))
     assert "rows" not in vars(again)
-    assert list(again.rows) == list(plan.fields)
-    assert all(again.rows[name] is plan.rows[name] for name in plan.fields)
+    assert list(again.definitions) == list(plan.fields)
+    assert all(again.definitions[name] is plan.definitions[name] for name in plan.fields)
     assert again.shapes == plan.shapes
 
 

@@ -57,7 +57,7 @@ def allowed(ds, names):
     needs = {"angular_velocity", "moment_of_inertia"} - set(ds.data_vars)
     moments = {name for name, row in MOMENTS.items() if needs & set(row.variables)}
     options = registry.Options()
-    rows = {name: registry.rows_of((name,), options).values() for name in names}
+    rows = {name: registry.fields_of((name,), options).values() for name in names}
     return [name for name in names if not moments & registry.moments_of(rows[name], options).keys()]
 
 

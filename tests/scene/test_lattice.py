@@ -546,7 +546,7 @@ def test_images_of_vectors_within_a_reach_are_those_of_brute_force(tilt, reach):
     reaches = rng.uniform(0.0, reach, len(vector))
     rows, images = lattice.within(vector, reaches)
     for n, (own, far) in enumerate(zip(vector, reaches, strict=True)):
-        everywhere = own + NUMBERS @ lattice.given
+        everywhere = own + NUMBERS @ lattice.periodic_vectors
         length = np.linalg.norm(everywhere, axis=1)
         is_near = (length < far) | ~NUMBERS.any(axis=1)
         expected = sorted(map(tuple, everywhere[is_near].round(9)))

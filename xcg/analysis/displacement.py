@@ -192,7 +192,7 @@ def displacement(scene: Scene, request: DisplacementRequest) -> xr.Dataset:
     derived = [
         name
         for name in names
-        if name != _GRADIENT and _GRADIENT in registry.rows_of((name,), options)
+        if name != _GRADIENT and _GRADIENT in registry.fields_of((name,), options)
     ]
     summed = [name for name in names if name not in derived]
     if derived:
@@ -210,7 +210,7 @@ def displacement(scene: Scene, request: DisplacementRequest) -> xr.Dataset:
     data = {}
     for name in names:
         values = derive(name, fields, options)
-        data[name] = (values.dims, values.data, about(registry.row(name, options), system))
+        data[name] = (values.dims, values.data, about(registry.field_of(name, options), system))
     result = xr.Dataset(data, f.coords, f.attrs).unify_chunks()
     if request.for_averages:
         return result
@@ -274,7 +274,7 @@ def _fields(
             require_known_times(ds, f"displacement({name!r})")
     if accumulate:
         total = [
-            name for name in available if _TOTAL in registry.rows_of((name,), registry.Options())
+            name for name in available if _TOTAL in registry.fields_of((name,), registry.Options())
         ]
         if fields is None:
             names = total

@@ -249,7 +249,7 @@ class Clusters:
         index_i = np.where(is_member[contacts.i], contacts.i, -1)
         index_j = np.where(is_member[contacts.j], contacts.j, -1)
         # in numbers of the vectors of the axes, which reduced ones of tilted boxes are sums of
-        numbers = contacts.crossed @ lattice.basis @ np.linalg.pinv(lattice.given)
+        numbers = contacts.crossed @ lattice.basis @ np.linalg.pinv(lattice.periodic_vectors)
         crossed = np.rint(numbers).astype("int64")
         root = np.arange(count)
         moved = np.zeros((count, crossed.shape[1]), "int64")

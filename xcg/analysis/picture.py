@@ -16,7 +16,7 @@ from xcg.common import drawing
 from xcg.common.checks import check_choice
 from xcg.common.messages import did_you_mean
 from xcg.fields.formulas.field import Options
-from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES, REGISTERED, rows_of
+from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES, REGISTERED, fields_of
 from xcg.scene.facts import with_present_names
 from xcg.scene.frame import step_at, with_time
 from xcg.scene.schema import COMPONENTS
@@ -292,4 +292,4 @@ def may_diverge(value: xr.DataArray) -> bool:
     row = FIELDS[name]
     if row.additive or row.weight:
         return False
-    return name in REGISTERED or "pressure" in rows_of((name,), Options())
+    return name in REGISTERED or "pressure" in fields_of((name,), Options())

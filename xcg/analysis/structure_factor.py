@@ -185,7 +185,7 @@ class StructureFactor(PhaseAnalysis):
                 "out by on_error='skip'"
             )
         axes = self.setup.axes
-        edges = lattice.given[np.isin(lattice.axes, axes)][:, axes]
+        edges = lattice.periodic_vectors[np.isin(lattice.axes, axes)][:, axes]
         inverse = np.linalg.inv(edges)
         if self.k_max is None:
             numbers = np.asarray(self.vectors)

@@ -128,7 +128,7 @@ def _per_fraction(f: xr.Dataset, fraction: xr.DataArray, plan: Plan) -> xr.Datas
 
     `sample_count` does not change; other fields are NaN where the fraction is.
     """
-    average = Averaging("per='accessible'", plan.rows, plan.options)
+    average = Averaging("per='accessible'", plan.definitions, plan.options)
     fraction = fraction.drop_attrs(deep=False)
     divided = {}
     for name, values in average.to_sums(f).items():
@@ -138,8 +138,10 @@ def _per_fraction(f: xr.Dataset, fraction: xr.DataArray, plan: Plan) -> xr.Datas
         divided[name] = values
     out = average.from_sums(xr.Dataset(divided), f)
     known = fraction.notnull()
-    unchanged = {name: f[name].where(known) for name, row in plan.rows.items() if row.weight}
-    if "sample_count" in plan.rows:
+    unchanged = {
+        name: f[name].where(known) for name, field in plan.definitions.items() if field.weight
+    }
+    if "sample_count" in plan.definitions:
         unchanged["sample_count"] = f["sample_count"]
     return out.assign(unchanged)
 
@@ -198,7 +200,7 @@ def _points_of(
     if not cylindrical:
         sizes = dict(zip(nodes.dims, nodes.sizes, strict=True))
         points = np.zeros((nodes.count, 3))
-        for a in nodes.seen:
+        for a in nodes.active_axes:
             points[:, COMPONENTS.index(a)] = nodes.coords[a].set_dims(sizes).to_numpy().ravel()
         return points, np.ones(len(points)), np.arange(len(points))
     return ring_points(nodes, whole=any(wall.turns() for wall in walls))

@@ -43,7 +43,7 @@ def advise(scene: Scene, plan: Plan) -> None:
     text = about_width(scene, min(plan.widths), plan.undercut)
     if text:
         warn_once("width", text)
-    has_cut = len(plan.nodes.seen) > len(plan.nodes.spacing)
+    has_cut = len(plan.nodes.active_axes) > len(plan.nodes.spacing)
     if has_cut and scene.periods and not scene.cylindrical:
         _warn_of_cuts(scene, plan)
     if options.gradient == "kernel" and {"mass_slope", "momentum_slope"} & plan.moments.keys():
@@ -101,13 +101,13 @@ def _stretch_of(scene: Scene) -> NDArray | None:
 def _depends_on_support(plan: Plan) -> bool:
     """Return whether a requested field of single steps depends on how many grains a node sees."""
     options = plan.options
-    rows = [plan.rows[name] for name in plan.requested]
+    fields = [plan.definitions[name] for name in plan.requested]
     follows_grains = {*_OF_ONE_VARIANCE, "segregation_flux"}
     if plan.about_means or follows_grains & {*plan.requested}:
         return True
-    if any(row.floor is not None for row in rows):
+    if any(field.floor is not None for field in fields):
         return True
-    return any(takes_stress_of_step(row, options) for row in rows)
+    return any(takes_stress_of_step(field, options) for field in fields)
 
 
 # --- of all plans ----------------------------------------------------------------------------------
@@ -154,7 +154,7 @@ def _warn_of_cuts(scene: Scene, plan: Plan) -> None:
     """Warn of fixed coordinates that lie outside a periodic box."""
     nodes = plan.nodes
     for k, a in enumerate(COMPONENTS):
-        is_fixed = a in nodes.seen and a not in nodes.spacing
+        is_fixed = a in nodes.active_axes and a not in nodes.spacing
         if not is_fixed or a not in scene.periods:
             continue
         low, high = scene.edges[a]
@@ -242,7 +242,7 @@ def _warn_of_mixed_masses(scene: Scene, plan: Plan, fields: Sequence[str]) -> No
         return
     # at most the share that the fit of velocity and gradient takes, if only the slow grains lose it
     support = plan.support
-    if support is not None and (1 + len(plan.nodes.seen)) / support.grains < _BIAS:
+    if support is not None and (1 + len(plan.nodes.active_axes)) / support.grains < _BIAS:
         return
     text = (
         f"{', '.join(fields)} of grains whose masses differ by {masses:.2g} assumes that all have the same variance of "
@@ -255,11 +255,11 @@ def _warn_of_mixed_masses(scene: Scene, plan: Plan, fields: Sequence[str]) -> No
 def _warn_of_long_extent(scene: Scene, extent: Mapping[str, float | None]) -> None:
     """Warn of a length of an average that is many times that of the scene."""
     for axis, length in extent.items():
-        known = length_along(scene, axis, scene.sizes.get("d43", np.nan))
-        if length and length > _LONG * known:
+        of_scene = length_along(scene, axis, scene.sizes.get("d43", np.nan))
+        if length and length > _LONG * of_scene:
             text = (
-                f"extent={{{axis!r}: {length:.4g}}} is {length / known:.3g} times the length of the scene along "
-                f"{axis!r} ({known:.4g} m), so that sums over it are as many times too small: lengths are in m. Leave "
-                f"it out where the box has edges along {axis!r}, or give extent={{{axis!r}: {known:.4g}}}"
+                f"extent={{{axis!r}: {length:.4g}}} is {length / of_scene:.3g} times the length of the scene along "
+                f"{axis!r} ({of_scene:.4g} m), so that sums over it are as many times too small: lengths are in m. "
+                f"Leave it out where the box has edges along {axis!r}, or give extent={{{axis!r}: {of_scene:.4g}}}"
             )
             warn_once("long extent", text)

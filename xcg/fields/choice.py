@@ -62,10 +62,14 @@ def choose_fields(scene: Scene, request: Request) -> ChosenFields:
         names = (*names, *needed_for_averages(names, options))
     if request.for_averages:
         requested = names
-    rows = registry.rows_of(names, options)
-    registered = [registry.OwnRow(n, row) for n, row in rows.items() if n in registry.REGISTERED]
+    definitions = registry.fields_of(names, options)
+    registered = [
+        registry.NamedField(name, field)
+        for name, field in definitions.items()
+        if name in registry.REGISTERED
+    ]
     options = replace(options, own=(*own, *registered))
-    moments = registry.moments_of(rows.values(), options)
+    moments = registry.moments_of(definitions.values(), options)
     needed = _read_by(moments, scene.columns.keys())
     if not needed <= scene.columns.keys():
         _refuse(scene, names, needed, options)
@@ -78,7 +82,7 @@ def _refuse(scene: Scene, names: Sequence[str], needed: Set[str], options: Optio
     here = scene.columns.keys()
     lacking = [name for name in names if not variables_of((name,), here, options) <= here]
     instead = ""
-    if "contact_stress" in registry.rows_of(lacking, options) and (
+    if "contact_stress" in registry.fields_of(lacking, options) and (
         variables_of(("contact_stress",), here, options) <= here
     ):
         instead = "; or ask for contact_stress, which needs no velocity"
@@ -95,20 +99,22 @@ def possible_fields(scene: Scene, request: Request) -> tuple[str, ...]:
 
 def _possible(scene: Scene, options: Options) -> tuple[str, ...]:
     here = scene.columns.keys()
-    rows = registry.FIELDS
-    lacking = {n for n, row in rows.items() if row.option and getattr(options, row.option) is None}
-    usual = [name for name in registry.listed() if rows[name].default and name not in lacking]
-    possible = tuple(name for name in usual if variables_of((name,), here, options) <= here)
+    possible = []
+    for name in registry.listed():
+        field = registry.FIELDS[name]
+        has_option = not field.option or getattr(options, field.option) is not None
+        if field.default and has_option and variables_of((name,), here, options) <= here:
+            possible.append(name)
     if not possible:
         scene.require(("mass",), "coarse_grain")
-    return possible
+    return tuple(possible)
 
 
 def _named(
-    fields: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None,
+    fields: str | Quantity | Sequence[str | Quantity | registry.NamedField] | None,
     scene: Scene,
     options: Options,
-) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
+) -> tuple[tuple[str, ...], tuple[OwnField | registry.NamedField, ...]]:
     """Return the names of the fields of a result, and the quantities of the scene's own variables among them."""
     if fields is None:
         return _possible(scene, options), ()
@@ -125,7 +131,7 @@ def _named(
         # an underscore begins the names of steps of the algebra
         is_field = isinstance(name, str) and not name.startswith("_")
         of_registry.append(registry.FIELDS.get(name) if is_field else None)
-    own: dict[int, OwnField | registry.OwnRow] = {}
+    own: dict[int, OwnField | registry.NamedField] = {}
     if None in of_registry:
         own = own_fields(requested, scene)
     for k, (name, field) in enumerate(zip(requested, of_registry, strict=True)):
@@ -138,13 +144,13 @@ def _named(
     return tuple(dict.fromkeys(names)), tuple(dict.fromkeys(own.values()))
 
 
-def _lacks_option(name: str, row: Field) -> str:
+def _lacks_option(name: str, field: Field) -> str:
     """Return the message about a field that takes an option."""
-    if row.option == "lag":
+    if field.option == "lag":
         return (
             f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain"
         )
-    return f"{name} needs the argument {row.option}="
+    return f"{name} needs the argument {field.option}="
 
 
 def _unknown_field(name: Any, scene: Scene) -> str:
@@ -189,10 +195,10 @@ def _check_errors(names: Sequence[str], absent: Set[str], *, per: Per | None) ->
 
 def _with_errors(
     names: tuple[str, ...],
-    own: tuple[OwnField | registry.OwnRow, ...],
+    own: tuple[OwnField | registry.NamedField, ...],
     scene: Scene,
     absent: Set[str],
-) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
+) -> tuple[tuple[str, ...], tuple[OwnField | registry.NamedField, ...]]:
     """Add the errors of one step of the fields that have them, unless absent."""
     quantities = [field.error for field in own if isinstance(field, OwnField)]
     further = tuple(own_field(quantity, scene) for quantity in quantities if quantity is not None)
@@ -213,8 +219,8 @@ def _with_errors(
 
 def variables_of(fields: Iterable[str], here: Set[str], options: Options) -> set[str]:
     """Return the variables that some fields need, of a scene with the variables `here`."""
-    rows = registry.rows_of(fields, options)
-    return _read_by(registry.moments_of(rows.values(), options), here)
+    definitions = registry.fields_of(fields, options)
+    return _read_by(registry.moments_of(definitions.values(), options), here)
 
 
 def _read_by(moments: Mapping[str, Moment], here: Set[str]) -> set[str]:

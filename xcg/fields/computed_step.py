@@ -119,17 +119,17 @@ class ComputedStep:
             branches, forces = spread_of_contacts(self.frame, self.lattice)
             support = replace(support, branch_spread=branches, tangential=forces)
         texts = []
-        for name, (floor, row) in floors_of(self.plan, support).items():
+        for name, (floor, field) in floors_of(self.plan, support).items():
             values = self.fields[name]
             known = values[np.isfinite(values)]
             shown = float(np.median(known)) if known.size else np.nan
-            if row.floor_units == UNIT_OF_RATES:
+            if field.floor_units == UNIT_OF_RATES:
                 noise = floor * self._fluctuation() / support.diameter
                 is_small = noise <= CONSIDERABLE_FLOOR * shown
             else:
                 is_small = shown < _CONTRADICTED * floor
-            if floor > CONSIDERABLE_FLOOR * row.usual and not is_small:
-                texts.append(f"{name} is about {row.floor_text(floor)}")
+            if floor > CONSIDERABLE_FLOOR * field.usual and not is_small:
+                texts.append(f"{name} is about {field.floor_text(floor)}")
         if not texts:
             return {}
         return {"floors": f"{', '.join(texts)} where the true value is 0"}
@@ -255,7 +255,9 @@ class ComputedStep:
         assert plan.support is not None
         has_contacts = "contact_i" in self.frame
         options = plan.options
-        taking = [name for name in plan.requested if takes_stress_of_step(plan.rows[name], options)]
+        taking = [
+            name for name in plan.requested if takes_stress_of_step(plan.definitions[name], options)
+        ]
         free = without_frozen(self.frame)
         if not taking or not len(free["mass"]) or not (has_contacts or plan.named):
             return {}

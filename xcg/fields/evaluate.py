@@ -93,7 +93,7 @@ class CoarseGraining(FrameAnalysis):
             coords[COMPONENTS[k]].attrs["period"] = period  # also of a part of the nodes
         if plan.by:
             coords["phase"] = phases_of(plan.by, plan.groups)
-        fields = plan.rows.values()
+        fields = plan.definitions.values()
         for dim in ("component", "direction")[: max(field.rank for field in fields)]:
             coords[dim] = xr.Variable(dim, list(axes))
         if any(field.paired for field in fields):
@@ -142,7 +142,7 @@ class CoarseGraining(FrameAnalysis):
             floors = numbers_of_floors(plan, plan.support)
         optional = {n for moment in plan.moments.values() for n in moment.optional}
         absent = [n for n in ROTATION if n in optional and n not in plan.variables]
-        for name, field in plan.rows.items():
+        for name, field in plan.definitions.items():
             attrs: dict[str, Any] = about(field, system)
             if absent:
                 attrs |= _comment_on_rotation(name, plan.options, absent)
@@ -182,21 +182,21 @@ class _Algebra:
     def fill(self, block: Block) -> int:
         """Compute the fields at the nodes of a block; return how many of them grains reach."""
         filled = self.sums.over(block)
-        places = block.places
+        indices = block.indices
         if self.program:
-            self.program.run(self.sums.table, filled, places, self.out, block.order)
+            self.program.run(self.sums.table, filled, indices, self.out, block.order)
         if self.untraced:
             moments = self.sums.moments(filled)
             evaluated = registry.evaluate(self.untraced, moments, self.options)
             for name, values in evaluated.items():
-                self.out[name][places] = values.swapaxes(0, 1)
+                self.out[name][indices] = values.swapaxes(0, 1)
         return int(np.count_nonzero(~np.isnan(filled[0][0, :, 0])))
 
 
 def _comment_on_rotation(name: str, options: Options, absent: Sequence[str]) -> dict[str, str]:
     """Return the attribute of a field that takes absent variables where the scene has them."""
-    rows = registry.rows_of((name,), options)
-    moments = registry.moments_of(rows.values(), options)
+    definitions = registry.fields_of((name,), options)
+    moments = registry.moments_of(definitions.values(), options)
     optional = {variable for moment in moments.values() for variable in moment.optional}
     lacking = [variable for variable in absent if variable in optional]
     if not lacking:
@@ -233,7 +233,7 @@ def _of_infinite_box(source: str, averaged: Sequence[bool]) -> str:
 def _leave_out_directions(plan: Plan, fields: Mapping[str, NDArray]) -> None:
     """Set vectors and tensors to NaN where axes have no direction, but for what is along z alone."""
     for name, values in fields.items():
-        rank = plan.rows[name].rank
+        rank = plan.definitions[name].rank
         if rank:
             along: Any = (plan.nodes.undirected, ..., *(2,) * rank)
             of_axis = values[along]

@@ -31,7 +31,7 @@ def nodes_of(scene: Scene, request: Request, kernels: Sequence[Kernel]) -> Nodes
     plane = scene.setup.plane
     at: Mapping[str, Any] = request.at or {}
     smallest = min(kernels, key=lambda k: k.cutoff)
-    if not scene.cylindrical and any(np.ndim(place) > 0 for place in at.values()):
+    if not scene.cylindrical and any(np.ndim(coordinate) > 0 for coordinate in at.values()):
         _check_pointwise(request)
         return make_points(at, plane=plane, cutoff=smallest.cutoff)
     spacing: Any = smallest.width
@@ -132,7 +132,9 @@ def takes_gradient(name: str, options: Options) -> bool:
         return True
     if name == "fluctuation_stress":  # its fluctuations are about the mean without a gradient
         return False
-    return any(takes_gradient(needed, options) for needed in registry.row(name, options).fields)
+    return any(
+        takes_gradient(needed, options) for needed in registry.field_of(name, options).fields
+    )
 
 
 def extents_of(nodes: Nodes, extent: Mapping[str, float], scene: Scene) -> dict[str, float | None]:
@@ -269,13 +271,14 @@ def about_strays(scene: Scene) -> str:
         return f"particles extend over {extent}; some may have escaped; {way_out}"
     ids = ds["particle_id"].transpose("time", "particle").to_numpy()
     held = np.argwhere(ids != PADDING)
-    place = position.values[tuple(held.T)]
-    low, high = np.quantile(place, [(1 - _MIDDLE) / 2, (1 + _MIDDLE) / 2], axis=0)
-    room = np.maximum(high - low, np.spacing(np.abs(place).max()))
-    beyond = np.maximum(low - place, place - high) / room
+    of_grains = position.values[tuple(held.T)]
+    low, high = np.quantile(of_grains, [(1 - _MIDDLE) / 2, (1 + _MIDDLE) / 2], axis=0)
+    room = np.maximum(high - low, np.spacing(np.abs(of_grains).max()))
+    beyond = np.maximum(low - of_grains, of_grains - high) / room
     if not (beyond > 1.0).any():
         return way_out
     t, row = held[int(beyond.max(axis=1).argmax())]
     x, y, z = position.values[t, row].tolist()
-    place_of_it = f"({x:.4g}, {y:.4g}, {z:.4g})"
-    return f"particle {ids[t, row]} at {place_of_it} is far from the others; {way_out}"
+    return (
+        f"particle {ids[t, row]} at ({x:.4g}, {y:.4g}, {z:.4g}) is far from the others; {way_out}"
+    )

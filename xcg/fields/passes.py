@@ -176,12 +176,11 @@ class StepArrays:
         nodes = plan.nodes
         self.origin = triple(nodes.origin)
         self.cutoffs = sorted({*plan.cutoffs})
-        # without edges, which are a part of the scene
-        self.lattice = replace(lattice.seen(nodes.active, source), edges=None)
+        self.lattice = lattice.seen(nodes.active, source)
         paired = any(name.startswith("square") for name in plan.moments)
         self.smoothings: dict[float, Smoothing] = {}
         for cutoff in self.cutoffs:
-            norm = plan.weights.norm * (plan.cutoffs[0] / cutoff) ** len(nodes.seen)
+            norm = plan.weights.norm * (plan.cutoffs[0] / cutoff) ** len(nodes.active_axes)
             weights = plan.weights._replace(norm=norm * scale)
             smoothing = Smoothing(nodes, self.lattice.period, cutoff, weights)
             smoothing.check_reach(DIAMETER, source, paired=paired)

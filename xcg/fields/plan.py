@@ -103,7 +103,7 @@ class Plan:
         What the accessible fraction takes. Measured by `explain` alone.
 
     Other attributes follow from these: `dims`, of the nodes, and phase where there are several;
-    `phases`, their number, the bulk included; `rows` of the fields; `group_count`, without it, and
+    `phases`, their number, the bulk included; `definitions` of the fields; `group_count`, without it, and
     `other_count`, groups of partners, the last one for walls; `kernel`, the widest; `weights`, the
     first kernel as loops take it; `cutoffs` and `widths` of the kernels (m), and `cutoff_of_group`;
     `outputs`, the fields as variables of the result, and `shapes`, of one step of each; `reached`,
@@ -139,7 +139,7 @@ class Plan:
         self.group_count = max(1, len(self.groups))
         self.other_count = self.group_count + 1
         self.kernel = max(self.kernels, key=lambda k: k.cutoff)
-        self.weights = self.kernels[0].weights(len(self.nodes.seen))
+        self.weights = self.kernels[0].weights(len(self.nodes.active_axes))
         self.cutoffs = [k.cutoff for k in self.kernels]
         self.widths = [k.width for k in self.kernels]
         self.cutoff_of_group = np.resize(self.cutoffs, self.group_count)
@@ -152,9 +152,9 @@ class Plan:
         )
         self.outputs: dict[str, Variable] = {}
         self.shapes: dict[str, tuple[int, ...]] = {}
-        for name, row in self.rows.items():
-            dims = self.dims + ("other_phase",) * row.paired + _OF_TENSORS[: row.rank]
-            self.outputs[name] = Variable(dims, row.units, row.long_name)
+        for name, field in self.definitions.items():
+            dims = self.dims + ("other_phase",) * field.paired + _OF_TENSORS[: field.rank]
+            self.outputs[name] = Variable(dims, field.units, field.long_name)
             self.shapes[name] = tuple(lengths[dim] for dim in dims)
         self.reached = self.nodes.nodes_within(2.0 * max(self.cutoffs))
         self.sum_count = self.group_count * sum(moment.width for moment in self.moments.values())
@@ -164,13 +164,13 @@ class Plan:
             self.block_nodes = min(BLOCK_NODES, max(FEWEST_NODES, in_cache))
 
     @cached_property
-    def rows(self) -> dict[str, Field]:
-        """Rows of the fields."""
-        return {name: registry.row(name, self.options) for name in self.fields}
+    def definitions(self) -> dict[str, Field]:
+        """Fields of the registry by name."""
+        return {name: registry.field_of(name, self.options) for name in self.fields}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the rows: other processes look them up, as formulas travel by their names."""
-        return {name: value for name, value in vars(self).items() if name != "rows"}
+        """Leave out the definitions: other processes look them up, as formulas travel by their names."""
+        return {name: value for name, value in vars(self).items() if name != "definitions"}
 
     @property
     def about_means(self) -> list[OwnField]:
@@ -224,7 +224,7 @@ class Plan:
         """Return the text of the plan by headings."""
         nodes = self.nodes
         averaged = [f"{a} ({self.extent[a] or 'box'})" for a in nodes.averaged]
-        kernel = f"{self.kernel!r}, seen in {len(nodes.seen)} of {self.kernel.dimension} dimensions"
+        kernel = f"{self.kernel!r}, seen in {len(nodes.active_axes)} of {self.kernel.dimension} dimensions"
         if len(self.widths) > 1:
             kernel += f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}"
         counts = Counter(moment.over for moment in self.moments.values())
@@ -241,7 +241,9 @@ class Plan:
             **nodes.text,
             "averaged": ", ".join(averaged) or "none",
             "kernel": kernel,
-            "sums": ", ".join(f"{m} ({row.formula})" for m, row in self.moments.items()),
+            "sums": ", ".join(
+                f"{name} ({moment.formula})" for name, moment in self.moments.items()
+            ),
             "loops": ", ".join(loops),
             "contacts": self._rules(),
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
@@ -296,7 +298,7 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     widest = max(kernels, key=lambda k: k.cutoff)
     narrowest = min(k.width for k in kernels)
     nodes = nodes_of(scene, request, kernels)
-    seen = len(nodes.seen)
+    seen = len(nodes.active_axes)
     if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & moments.keys():
         check_differentiable(widest)
     limits = np.zeros(0)

@@ -143,12 +143,12 @@ def variation_of_flow(
     noise = mass @ (velocity - flow) ** 2 / max(len(mass), 1)
     smeared = np.zeros(3)
     averaged = {}
-    variance = plan.kernel.second_moment(len(nodes.seen))
+    variance = plan.kernel.second_moment(len(nodes.active_axes))
     for n, k in enumerate(plan.options.plane):
         first, second, third = terms[1 + 3 * n : 4 + 3 * n]
         u = places[k][:, None]
         along = first * u + second * (u * u) + third * (u * u * u)
-        if COMPONENTS[k] in nodes.seen:
+        if COMPONENTS[k] in nodes.active_axes:
             slope = first + 2 * second * u + 3 * third * u * u
             line = np.mean(u * along, axis=0)  # u has the variance 1
             share = variance / spread[k] ** 2 if spread[k] > 0 else 0.0
@@ -160,7 +160,7 @@ def variation_of_flow(
     for k in plan.options.plane:
         part, of_slopes = _in_slices(frame["position"][:, k], velocity - flow, mass, noise)
         flow = flow + part
-        if COMPONENTS[k] in nodes.seen:
+        if COMPONENTS[k] in nodes.active_axes:
             smeared += variance * of_slopes
         else:
             averaged[COMPONENTS[k]] = averaged[COMPONENTS[k]] + mass @ part**2

@@ -311,11 +311,11 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
     """Fields of a class of requests in the order of a call: by position, usual, its own, shared ones."""
     shared = {field.name for field in fields(SharedOptions)}
 
-    def place(field: Field[Any]) -> tuple[bool, int, bool]:
+    def rank(field: Field[Any]) -> tuple[bool, int, bool]:
         usual = [*_FIRST, field.name].index(field.name)
         return bool(field.kw_only), usual, field.name in shared
 
-    return tuple(sorted(fields(request), key=place))
+    return tuple(sorted(fields(request), key=rank))
 
 
 def takes(

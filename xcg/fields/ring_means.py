@@ -65,8 +65,8 @@ def reference_of_rings(
 def _square(run: Pass, squared: Squared, rings: Rings, averaged: NDArray) -> None:
     """Replace the per-angle sums of squared weights by the sums of the fit over the whole ring."""
     nodes = squared.smoothing.nodes
-    seen_z = "z" in nodes.seen
-    dimension = len(nodes.seen + nodes.averaged)
+    seen_z = "z" in nodes.active_axes
+    dimension = len(nodes.active_axes + nodes.averaged)
     row, position = squared.images
     cutoff = squared.smoothing.cutoff
     low = rings.place.min(axis=0)

@@ -23,7 +23,9 @@ def text_of_floors(scene: Scene, plan: Plan) -> str | None:
     floors = floors_of(plan, support)
     if not floors:
         return None
-    values = ", ".join(f"{name} {row.floor_text(floor)}" for name, (floor, row) in floors.items())
+    values = ", ".join(
+        f"{name} {field.floor_text(floor)}" for name, (floor, field) in floors.items()
+    )
     return f"{values} in one step where the true value is 0, from {support.text()} at a node"
 
 
@@ -38,7 +40,7 @@ def effective_count(scene: Scene, plan: Plan) -> float | None:
         return None
     d = scene.setup.dimension
     number = DENSE / (_SHARE_OF_CUBE[d] * scene.sizes["d43"] ** d) * averaged
-    return number / plan.kernel.squared_integral(len(plan.nodes.seen))
+    return number / plan.kernel.squared_integral(len(plan.nodes.active_axes))
 
 
 def numbers_of_floors(plan: Plan, support: Support) -> dict[str, float]:
@@ -48,13 +50,13 @@ def numbers_of_floors(plan: Plan, support: Support) -> dict[str, float]:
 
 
 def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, Field]]:
-    """Return floor and row of each requested field whose floor is known."""
+    """Return floor and definition of each requested field whose floor is known."""
     floors = {}
     for name in plan.requested:
-        row = plan.rows[name]
-        floor = row.floor(support) if row.floor is not None else math.nan
+        field = plan.definitions[name]
+        floor = field.floor(support) if field.floor is not None else math.nan
         if math.isfinite(floor):
-            floors[name] = floor, row
+            floors[name] = floor, field
     return floors
 
 
@@ -74,7 +76,7 @@ def support_of(scene: Scene, plan: Plan) -> Support | None:
     if other_weights or not count or not np.isfinite(filled):
         return None
     d = scene.setup.dimension
-    seen = len(grid.seen)
+    seen = len(grid.active_axes)
     if scene.cylindrical and "theta" not in grid.coords:
         seen -= 1
         averaged *= 2 * math.pi * float(np.median(grid.coords["r"]))

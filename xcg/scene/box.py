@@ -225,7 +225,7 @@ class BoxMotion:
     lattice : Lattice
         Periodic images of the later frame.
     turned : array (k, k)
-        Whole numbers: the vectors of the first frame are ``turned @ lattice.given``, moved with the
+        Whole numbers: the vectors of the first frame are ``turned @ lattice.periodic_vectors``, moved with the
         box.
     """
 
@@ -248,8 +248,8 @@ class BoxMotion:
         if first.vectors is None and later.vectors is None:
             stretch[wraps] = later.period[wraps] / first.period[wraps] - 1.0
             return cls(np.diag(stretch), moved - stretch * lower, later, np.eye(wraps.sum()))
-        before = first.given
-        after = later.given
+        before = first.periodic_vectors
+        after = later.periodic_vectors
         turned = same_vectors(before, after, np.flatnonzero(wraps))
         gradient = (np.linalg.pinv(before) @ (turned @ after - before)).T
         return cls(gradient, moved - gradient @ lower, later, turned)
@@ -312,7 +312,9 @@ class BoxMotion:
                 f"particle {first['particle_id'][indices][n]} has another image along '{axis}' than before, and the "
                 f"scene is not periodic along it; give periodic= with '{axis}', or ds.drop_vars('image')"
             )
-        return moved + (after[:, axes] - before[:, axes] @ self.turned) @ self.lattice.given
+        return (
+            moved + (after[:, axes] - before[:, axes] @ self.turned) @ self.lattice.periodic_vectors
+        )
 
 
 def partners(first: Frame, later: Frame, sources: tuple[str, str]) -> NDArray:

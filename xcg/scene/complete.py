@@ -188,7 +188,7 @@ def _images(
     away = unwrapped - position
     if not away.any():
         return images
-    periods = lattice.given
+    periods = lattice.periodic_vectors
     whole = np.rint(away @ np.linalg.pinv(periods))
     rest = np.abs(away - whole @ periods).max(axis=1)
     shortest = np.ptp(position)

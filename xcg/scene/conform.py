@@ -87,10 +87,10 @@ def _argument_error(
     name: str, signature: inspect.Signature, words: Iterable[str], error: TypeError
 ) -> TypeError:
     """Return the error of a call whose arguments do not fit; `words` are its keywords."""
-    known = signature.parameters
+    parameters = signature.parameters
     for word in words:
-        if word not in known:
-            hint = _likely_argument(word, known)
+        if word not in parameters:
+            hint = _likely_argument(word, parameters)
             return TypeError(f"{name}() got an unexpected keyword argument {word!r}{hint}")
     return TypeError(f"{name}(): {error}")
 
@@ -146,15 +146,15 @@ _ELSEWHERE = {
 }
 
 
-def _likely_argument(word: str, known: Mapping[str, object]) -> str:
+def _likely_argument(word: str, parameters: Mapping[str, object]) -> str:
     """Return the argument, or the other way, that was probably meant, as the end of a message."""
     if word in ("time", "step"):
-        if "index" in known:
+        if "index" in parameters:
             return "; did you mean 'index', the position of a step?"
         return "; select steps before the call, ds.isel(time=-1)"
     if word in _ELSEWHERE:
         return f"; {_ELSEWHERE[word]}"
-    return did_you_mean(word, known, synonyms=_OTHER_ARGUMENTS)
+    return did_you_mean(word, parameters, synonyms=_OTHER_ARGUMENTS)
 
 
 # attributes of `particle_id` where files hold no ids

@@ -8,7 +8,7 @@ its original (Lees & Edwards 1972).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
@@ -102,7 +102,7 @@ class Lattice:
         return float(high - low)
 
     @property
-    def given(self) -> NDArray:
+    def periodic_vectors(self) -> NDArray:
         """Vectors of the periodic axes (k, 3) as they were given, in the order of the axes."""
         if self.cell is None:
             return self.basis
@@ -110,7 +110,7 @@ class Lattice:
 
     @property
     def axes(self) -> NDArray:
-        """Indices (k,) of those vectors a, b, c that are in `given`."""
+        """Indices (k,) of those vectors a, b, c that are in `periodic_vectors`."""
         return np.flatnonzero(np.isfinite(self.lengths))
 
     def scaled(self, unit: float) -> Lattice:
@@ -278,7 +278,8 @@ class Lattice:
     def seen(self, active: NDArray, source: str = "scene") -> Lattice:
         """Return the lattice as seen along some axes (3,).
 
-        Averages along the other axes do not distinguish images that are shifted along these.
+        Averages along the other axes do not distinguish images that are shifted along these. It has
+        no edges.
 
         Raises
         ------
@@ -287,7 +288,7 @@ class Lattice:
             average along the others is that over infinitely many shifted boxes.
         """
         if self.vectors is None:
-            return replace(self, period=np.where(active, self.period, np.inf))
+            return Lattice(np.where(active, self.period, np.inf))
         return self._shadow(active, source)
 
     def _shadow(self, active: NDArray, source: str) -> Lattice:
@@ -305,14 +306,14 @@ class Lattice:
                 f"{across} alone does not exist; resolve more axes "
                 f"(axes={self._resolvable(active)!r}) and average the result"
             )
-        return Lattice(self.period, self.edges, *_reduced(shadows, rates[apart]))
+        return Lattice(self.period, None, *_reduced(shadows, rates[apart]))
 
     def gradient_along(self, axes: NDArray) -> NDArray | None:
         """Velocity gradient (3, 3) of moving images (1/s), in columns of `axes`; None if zero."""
         if self.vectors is None or self.rates is None or not self.rates.any():
             return None
-        rates = self.numbers(self.given) @ self.rates
-        gradient = (np.linalg.pinv(self.given) @ rates).T * axes
+        rates = self.numbers(self.periodic_vectors) @ self.rates
+        gradient = (np.linalg.pinv(self.periodic_vectors) @ rates).T * axes
         if not gradient.any():
             return None
         return gradient
@@ -341,7 +342,7 @@ class Lattice:
         assert self.vectors is not None
         assert self.rates is not None
         longest = np.linalg.norm(self.vectors, axis=1).max(initial=0.0)
-        for vectors in (self.given, self.vectors):
+        for vectors in (self.periodic_vectors, self.vectors):
             shadows = vectors * active
             apart = np.linalg.norm(shadows, axis=1) > _SAME * longest
             if _independent(shadows[apart]):

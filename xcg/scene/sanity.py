@@ -71,14 +71,14 @@ def check_motion(first: Frame, second: Frame, lapse: float, lattice: Lattice) ->
         return
     moved = after["position"] - before["position"]
     expected = 0.5 * lapse * (before["velocity"] + after["velocity"])
-    if "image" in before and "image" in after and len(lattice.given):
-        moved += (after["image"] - before["image"])[:, lattice.axes] @ lattice.given
-    elif len(lattice.given):
+    if "image" in before and "image" in after and len(lattice.periodic_vectors):
+        moved += (after["image"] - before["image"])[:, lattice.axes] @ lattice.periodic_vectors
+    elif len(lattice.periodic_vectors):
         # whole periods are unknown, and motion by more than half of one has no direction
         moved = lattice.shortest(moved)
         periods = lattice.period
         if lattice.vectors is not None:
-            periods = np.full(3, np.linalg.norm(lattice.given, axis=1).min())
+            periods = np.full(3, np.linalg.norm(lattice.periodic_vectors, axis=1).min())
         has_direction = np.abs(expected).max(axis=0) < 0.5 * periods
         moved = moved[:, has_direction]
         expected = expected[:, has_direction]

@@ -197,36 +197,33 @@ def run(
     analysis = replace(analysis, setup=scene.setup).prepare(scene)
     required = list(analysis.reads(scene))
     scene.require(required, name)
-    rows = analysis.rows(scene)
+    outputs = analysis.rows(scene)
     coords = analysis.coords(scene)
     lengths = _lengths(analysis, scene, coords)
-    shapes = {name: tuple(lengths[dim] for dim in row.dims) for name, row in rows.items()}
+    shapes = {name: tuple(lengths[dim] for dim in output.dims) for name, output in outputs.items()}
     read = _variables_of_task(ds, [*required, *(n for n in analysis.optional if n in ds)])
     chunks = max(len(ds.variables[n].chunksizes.get("time", ())) for n in read)
     threads = 1  # of several chunks at once
     if chunks <= 1:
         threads = THREADS
-    arguments = (
-        replace(analysis, threads=threads),
-        name,
-        rows,
-        shapes,
-        read,
-    )
-    ragged = [n for n, row in rows.items() if row.dims and row.dims[0] not in {*coords, *AXES}]
-    task = _RaggedTask(*arguments, tuple(ragged)) if ragged else _Task(*arguments)
+    task = _Task(replace(analysis, threads=threads), name, outputs, shapes, read)
+    labelled = {*coords, *AXES}
+    ragged = [n for n, output in outputs.items() if output.dims and output.dims[0] not in labelled]
+    if ragged:
+        task = _RaggedTask(**vars(task), ragged=tuple(ragged))
     series = ds
     beside: list[str] = []
     if analysis.lags:
         series, beside = _with_others(ds, read, analysis.lags)
     results = {
-        n: (tuple(lengths[dim] or 0 for dim in row.dims), row.dtype) for n, row in rows.items()
+        n: (tuple(lengths[dim] or 0 for dim in output.dims), output.dtype)
+        for n, output in outputs.items()
     }
     arrays: dict[str, Any] = {}
-    if rows:
+    if outputs:
         tasks = name.replace("_", "-")
         arrays = map_over_time(series, [*read, *beside], task, results, tasks, on_error)
-    result = label(ds, rows, arrays, call, coords=coords, **analysis.attrs(scene))
+    result = label(ds, outputs, arrays, call, coords=coords, **analysis.attrs(scene))
     return analysis.after(result, ds)
 
 
@@ -272,8 +269,8 @@ def _with_others(
         exists = (other >= 0) & (other < len(steps))
         beside[f"exists@{lag}"] = xr.Variable("time", exists)
         for name in read:
-            row = ds.variables[name].isel(time=np.clip(other, 0, len(steps) - 1))
-            beside[f"{name}@{lag}"] = row.to_base_variable()
+            values = ds.variables[name].isel(time=np.clip(other, 0, len(steps) - 1))
+            beside[f"{name}@{lag}"] = values.to_base_variable()
     return ds.assign(beside), list(beside)
 
 
@@ -283,7 +280,7 @@ class _Task:
 
     analysis: FrameAnalysis
     name: str
-    rows: Mapping[str, Variable]
+    outputs: Mapping[str, Variable]
     shapes: Mapping[str, tuple[int | None, ...]]
     row_dims: Mapping[str, str]  # dimension of the rows of each variable
 
@@ -317,15 +314,15 @@ class _Task:
         steps = len(arrays["particle_id"])
         stacked: dict[str, NDArray] = {}
         for t, results in enumerate(of_steps):
-            for name, row in self.rows.items():
+            for name, output in self.outputs.items():
                 values = self.values_of(name, results)
                 if values.shape != self.shapes[name]:
                     raise self.wrong_shape(name, values)
-                if steps == 1 and values.dtype == row.dtype:
+                if steps == 1 and values.dtype == output.dtype:
                     stacked[name] = values[None]
                     continue
                 if name not in stacked:
-                    stacked[name] = np.full((steps, *values.shape), row.fill, row.dtype)
+                    stacked[name] = np.full((steps, *values.shape), output.fill, output.dtype)
                 stacked[name][t] = values
         return stacked
 
@@ -342,10 +339,10 @@ class _Task:
     def wrong_shape(
         self, name: str, values: NDArray, expected: tuple[int | None, ...] = ()
     ) -> TypeError:
-        """Return the error of a result that has another shape than its row says."""
+        """Return the error of a result that has another shape than `rows` says."""
         return TypeError(
             f"{self.name}: the result {name!r} has the shape {values.shape}, expected "
-            f"{expected or self.shapes[name]} for the dimensions {self.rows[name].dims}"
+            f"{expected or self.shapes[name]} for the dimensions {self.outputs[name].dims}"
         )
 
 
@@ -369,25 +366,30 @@ class _RaggedTask(_Task):
         steps = len(arrays["particle_id"])
         stacked: dict[str, NDArray] = {}
         for t, results in enumerate(of_steps):
-            places = self._places(arrays, t)
-            for name, row in self.rows.items():
+            rows_of = self._rows(arrays, t)
+            for name, output in self.outputs.items():
                 shape = tuple(length or 0 for length in shapes[name])
                 values = self.values_of(name, results)
-                place: Any = ...
+                rows: Any = ...
                 fits = values.shape == shape
                 if name in self.ragged:
                     count = len(values) if values.ndim else 0
                     fits = values.shape == (count, *shape[1:]) and count <= shape[0]
-                    place = places.get(row.dims[0], slice(count))
+                    rows = rows_of.get(output.dims[0], slice(count))
                 if not fits:
                     raise self.wrong_shape(name, values, shape)
-                in_order = not isinstance(place, np.ndarray) or place.dtype == bool
-                if steps == 1 and in_order and values.shape == shape and values.dtype == row.dtype:
+                in_order = not isinstance(rows, np.ndarray) or rows.dtype == bool
+                if (
+                    steps == 1
+                    and in_order
+                    and values.shape == shape
+                    and values.dtype == output.dtype
+                ):
                     stacked[name] = values[None]
                     continue
                 if name not in stacked:
-                    stacked[name] = np.full((steps, *shape), row.fill, row.dtype)
-                stacked[name][t, place] = values
+                    stacked[name] = np.full((steps, *shape), output.fill, output.dtype)
+                stacked[name][t, rows] = values
         return stacked
 
     def _shapes_of(
@@ -398,19 +400,19 @@ class _RaggedTask(_Task):
         for name, shape in self.shapes.items():
             if None in shape[:1]:
                 lengths = [len(self.values_of(name, results)) for results in of_steps]
-                dim = self.rows[name].dims[0]
+                dim = self.outputs[name].dims[0]
                 most[dim] = max([most.get(dim, 0), *lengths])
         return {
             name: tuple(
                 most.get(dim, 0) if length is None else length
-                for dim, length in zip(self.rows[name].dims, shape, strict=True)
+                for dim, length in zip(self.outputs[name].dims, shape, strict=True)
             )
             for name, shape in self.shapes.items()
         }
 
-    def _places(self, arrays: Mapping[str, NDArray], t: int) -> dict[str, Any]:
+    def _rows(self, arrays: Mapping[str, NDArray], t: int) -> dict[str, Any]:
         """Return the rows of particles and contacts in padded arrays."""
-        places: dict[str, Any] = {"particle": particle_rows(arrays["particle_id"][t])}
+        rows: dict[str, Any] = {"particle": particle_rows(arrays["particle_id"][t])}
         if "contact_i" in arrays:
-            places["contact"] = arrays["contact_i"][t] != PADDING
-        return places
+            rows["contact"] = arrays["contact_i"][t] != PADDING
+        return rows

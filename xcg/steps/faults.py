@@ -208,6 +208,6 @@ def _filled(
         fill = np.nan if np.dtype(dtype).kind == "f" else PADDING
         out[name] = np.full((count, *longest), fill, dtype)
         for t, values in of_steps.items():
-            place: Any = (t, *map(slice, values.shape))
-            out[name][place] = values
+            index: Any = (t, *map(slice, values.shape))
+            out[name][index] = values
     return out

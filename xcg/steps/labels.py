@@ -92,9 +92,9 @@ def annotated(dims: str | Sequence[str], values: Any, units: str, long_name: str
 
 def place_along(axis: str, nodes: NDArray, system: str) -> xr.Variable:
     """Return the coordinate of nodes, cells or slices along an axis of a scene of a unit system."""
-    place = annotated(axis, nodes, units_in("m", system), f"position along {axis}")
-    place.attrs["axis"] = axis.upper()
-    return place
+    coordinate = annotated(axis, nodes, units_in("m", system), f"position along {axis}")
+    coordinate.attrs["axis"] = axis.upper()
+    return coordinate
 
 
 def labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
@@ -137,17 +137,17 @@ def name_skipped(result: xr.Dataset) -> xr.Dataset:
     return result.assign_attrs(skipped_steps=numbers[skipped.to_numpy()])
 
 
-def format_call(function: str, given: Mapping[str, Any]) -> str:
+def format_call(function: str, arguments: Mapping[str, Any]) -> str:
     """Write a call on one line, arrays by their shape."""
-    arguments = []
-    for name, value in given.items():
+    texts = []
+    for name, value in arguments.items():
         text = printable(repr(value))
         if _is_array(value):
             text = f"<array {np.shape(value)}>"
         elif isinstance(value, Mapping) and any(map(_is_array, value.values())):
             text = format_call("dict", value)
-        arguments.append(f"{name}={text}")
-    return f"{function}({', '.join(arguments)})".replace("\n", " ")
+        texts.append(f"{name}={text}")
+    return f"{function}({', '.join(texts)})".replace("\n", " ")
 
 
 def _is_array(value: Any) -> bool:
@@ -246,7 +246,7 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
     title = f"result of {steps}"
     if nodes:
         title += f" on {nodes} nodes"
-    places = [a for a in of_frame if a in ds.coords and not ds[a].ndim]
+    fixed = [a for a in of_frame if a in ds.coords and not ds[a].ndim]
     averaged = []
     if ds.attrs.get("averaged_axes"):
         averaged.append(f"along {', '.join(str(ds.attrs['averaged_axes']))}")
@@ -254,16 +254,16 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
         if f"averaged_{what}" in ds.attrs:
             averaged.append(f"over {ds.attrs[f'averaged_{what}']} {what}")
     phases = [dim for dim in PHASES if dim in ds.coords]
-    known = {*of_frame, "time", *PHASES, *AXES}
+    shown = {*of_frame, "time", *PHASES, *AXES}
     return Summary.of(
         title,
         [
             ("fields", ", ".join(map(str, ds.data_vars)) or "none"),
             *((a, _nodes(ds[a])) for a in axes),
-            ("fixed", ", ".join(f"{a} = {float(ds[a]):.6g}" for a in places)),
+            ("fixed", ", ".join(f"{a} = {float(ds[a]):.6g}" for a in fixed)),
             ("averaged", ", ".join(averaged)),
             *((dim, ", ".join(map(str, np.atleast_1d(ds[dim])))) for dim in phases),
-            *((str(dim), str(size)) for dim, size in ds.sizes.items() if dim not in known),
+            *((str(dim), str(size)) for dim, size in ds.sizes.items() if dim not in shown),
             ("kernel", _kernel(ds)),
             *rows_of_origin(ds),
             ("history", str(ds.attrs.get("history", "")).replace("\n", "; ")),

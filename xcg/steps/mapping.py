@@ -277,9 +277,9 @@ def _lazy_results(
 
 
 def _compute_chunk(
-    gathered: Gathered, fixed: Mapping[str, NDArray], compute: Compute, *given: Any
+    gathered: Gathered, fixed: Mapping[str, NDArray], compute: Compute, *values: Any
 ) -> dict[str, NDArray]:
-    return compute({**gathered.take(given), **fixed})
+    return compute({**gathered.take(values), **fixed})
 
 
 def apply_along(

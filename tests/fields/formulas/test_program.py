@@ -213,17 +213,17 @@ def test_rows_list_exactly_the_inputs_of_their_formulas():
         names = tuple(
             name
             for name in registry._ROWS
-            if friction is not None or registry.row(name, options).option != "friction"
+            if friction is not None or registry.field_of(name, options).option != "friction"
         )
         for phases in (slice(0, 1), slice(None)):  # formulas may differ for the bulk alone
             if temperature == "mixture" and phases.stop:
                 continue
-            ordered = registry.rows_of(names, options)
+            ordered = registry.fields_of(names, options)
             made_up = _made_up(registry.moments_of(ordered.values(), options))
             s = {name: a if name == "reference" else a[phases] for name, a in made_up.items()}
             f = registry.evaluate(tuple(ordered), s, options)
             for name in names:
-                row = registry.row(name, options)
+                row = registry.field_of(name, options)
                 rows[id(row)] = row
                 taken = needed.setdefault(id(row), set())
                 with np.errstate(all="ignore"):

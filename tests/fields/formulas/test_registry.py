@@ -224,7 +224,7 @@ def test_all_formulas_have_the_dimensions_of_their_units(gradient, k):
             names = [name for name in names if name not in OF_FITS]
         if k == 2:  # displacements stand in the place of velocities
             names = [name for name in names if name not in displacement.ROWS]
-        fields = registry.rows_of(names, options).values()
+        fields = registry.fields_of(names, options).values()
         rows = registry.moments_of(fields, options)
         moments = registry._made_up(rows)
         scaled = {n: moments[n] * factor ** row.powers[..., k] for n, row in rows.items()}

@@ -76,12 +76,12 @@ def test_a_spacing_beyond_the_support_warns():
 
 def test_axes_are_resolved_fixed_or_averaged():
     g = grid("zx", at={"y": 7.0}, bounds={"x": (1, 2), "z": (5, 5)}, spacing={"x": 0.5, "z": 0.25})
-    assert (g.axes, g.seen, g.averaged, g.shape) == ("xz", "xyz", "", (3, 1, 1))
+    assert (g.axes, g.active_axes, g.averaged, g.shape) == ("xz", "xyz", "", (3, 1, 1))
     assert g.origin.tolist() == [1, 7, 5]
     assert g.spacings.tolist() == [0.5, 1, 0.25]
     assert g.active.all()
     g = grid("y", bounds={"y": (0, 2)}, plane="xy")
-    assert (g.seen, g.averaged, g.shape) == ("y", "x", (1, 3, 1))
+    assert (g.active_axes, g.averaged, g.shape) == ("y", "x", (1, 3, 1))
     assert g.active.tolist() == [False, True, False]
     assert g.origin.tolist() == [0, 0, 0]
     assert grid("", at=dict.fromkeys("xy", 1.0)).averaged == "z"

@@ -182,16 +182,16 @@ def test_parts_cover_all_points_once(many, scene):
     for most, few in ((700, 100), (100_000, 4096), (10, 3)):
         with mock.patch.object(module, "BLOCK_NODES", most), mock.patch.object(module, "_FEW", few):
             nodes = module.make_points(many, plane="xyz", cutoff=1.5)
-        places = np.concatenate([part.places for part in nodes.parts])
+        places = np.concatenate([part.indices for part in nodes.parts])
         np.testing.assert_array_equal(np.sort(places), np.arange(nodes.count))
         for part in nodes.parts:
-            assert part.count == len(part.places)
-            assert (np.diff(part.places[part.order].astype(int)) > 0).all()
+            assert part.count == len(part.indices)
+            assert (np.diff(part.indices[part.order].astype(int)) > 0).all()
             assert len(part.cells.start) <= module._MOST_CELLS + 4 * part.count + 1
             for k, a in enumerate("xyz"):
                 back = part.cells.points[k][: part.count] * part.unit + nodes.origin[k]
                 np.testing.assert_allclose(
-                    back, many[a].values[part.places], rtol=1e-12, atol=1e-12
+                    back, many[a].values[part.indices], rtol=1e-12, atol=1e-12
                 )
 
 

@@ -203,7 +203,7 @@ def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr
     average = Averaging.of(f, "time_average")
     samples = average.to_sums(samples, [_SAMPLE])
     mean = _average_of(samples.mean(_SAMPLE, skipna=False), f, average)
-    norms = [name for name, row in average.rows.items() if row and row.is_norm]
+    norms = [name for name, field in average.definitions.items() if field and field.is_norm]
     blocks = jackknife(
         samples,
         _SAMPLE,
@@ -238,17 +238,17 @@ def _beside(
     """Return the errors and biases of the fields of an average; errors that are checked warn."""
     count = samples.sizes[_SAMPLE]
     options = average.options
-    rows = average.rows
+    definitions = average.definitions
     weights = {}
     for name in map(str, mean.data_vars):
-        row = rows.get(name)
+        field = definitions.get(name)
         if name not in unchecked:
-            weights[name] = row.weight if row else ""
+            weights[name] = field.weight if field else ""
     call = active_call()
     steadiness = Steadiness(blocks, weights, samples, _SAMPLE, call)
     beside = {}
     for name in map(str, mean.data_vars):
-        row = rows.get(name)
+        field = definitions.get(name)
         known = mean[name].variable.notnull()
         units = f[name].attrs.get("units", "1")
         # without coordinates, which are the mean's; an error may be known where the mean is not
@@ -259,12 +259,12 @@ def _beside(
             unsure, error = unsure_sign(mean, error, call)
         if name in weights:
             error = steadiness.checked(name, error, samples.get(f"{name}/bottom"), unsure)
-        if row and is_checked_for_noise(f, name, row, count):
+        if field and is_checked_for_noise(f, name, field, count):
             norm = mean[name].variable
-            error = with_noise(name, row, norm, blocks.biases[name].variable, error, call)
-        if row and row.is_angle and count >= MIN_BIAS_BLOCKS:
+            error = with_noise(name, field, norm, blocks.biases[name].variable, error, call)
+        if field and field.is_angle and count >= MIN_BIAS_BLOCKS:
             error = with_unsure_angle(name, mean[name].variable, error, call)
-        if row and count >= MIN_BIAS_BLOCKS and has_bias(row, options):
+        if field and count >= MIN_BIAS_BLOCKS and has_bias(field, options):
             bias = blocks.biases[name].variable.where(known)
             if unsure is not None:
                 bias = bias.where(~unsure)
@@ -291,8 +291,10 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
     differing = [axis for axis in axes if axis in f.coords and dim in f[axis].dims]
     if differing:
         raise ValueError(_of_different_meshes(dim, differing))
-    rows = {name: row for name, row in Averaging.of(f, "time_average").rows.items() if row}
-    sums = [name for name, row in rows.items() if row.additive and dim in f[name].dims]
+    definitions = {
+        name: field for name, field in Averaging.of(f, "time_average").definitions.items() if field
+    }
+    sums = [name for name, field in definitions.items() if field.additive and dim in f[name].dims]
     if sums:
         lacking = f[sums[0]].isnull().any(dim)
         nodes = [axis for axis in lacking.dims if axis in axes or axis == "time"]
@@ -300,7 +302,7 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
         for axis in nodes:
             gaps.append(lacking.all([other for other in lacking.dims if other != axis]).any())
         refuse = partial(_refuse_gaps, dim, nodes)
-        of_runs = [name for name in rows if name in f and dim in f[name].dims]
+        of_runs = [name for name in definitions if name in f and dim in f[name].dims]
         checked = {}
         for name in of_runs:
             checked[name] = xr.apply_ufunc(
@@ -316,7 +318,7 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
         errors = errors_among(map(str, f.data_vars))
         f = f.drop_vars([*errors, *(f"{name}_from" for name in errors)], errors="ignore")
     # xarray joins sums that are equal in all runs to one
-    equal = {name: f[name] for name in rows if name in f and dim not in f[name].dims}
+    equal = {name: f[name] for name in definitions if name in f and dim not in f[name].dims}
     count = f.sizes[dim]
     return f.assign({name: values.expand_dims({dim: count}) for name, values in equal.items()})
 
@@ -409,7 +411,7 @@ def _with_sums(f: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     beside = []
     for name, coord in f.coords.items():
         if name in registry.FIELDS and name not in f.dims:
-            label = registry.row(str(name), options).long_name
+            label = registry.field_of(str(name), options).long_name
             if coord.attrs.get("long_name") == label:
                 beside.append(str(name))
     return f.reset_coords(beside), beside

@@ -308,7 +308,7 @@ _NOISY = 1 - math.sqrt(0.5)
 
 
 def with_noise(
-    name: str, row: Field, norm: xr.Variable, bias: xr.Variable, error: xr.Variable, call: Once
+    name: str, field: Field, norm: xr.Variable, bias: xr.Variable, error: xr.Variable, call: Once
 ) -> xr.Variable:
     """Return the error of an averaged norm, which warns if noise is more than half of its square at most nodes.
 
@@ -320,7 +320,7 @@ def with_noise(
     mean = norm.where(known).sum() / count
     left = (norm - bias).sum() / count
     unit = norm.attrs.get("units", "1")
-    least = 0.0 if row.floor_units else CONSIDERABLE_FLOOR * row.usual
+    least = 0.0 if field.floor_units else CONSIDERABLE_FLOOR * field.usual
     warn = partial(_warned_of_noise, call, name, "" if unit == "1" else f" {unit}", least)
     numbers = share, mean, left
     told = xr.apply_ufunc(warn, error, *numbers, dask="parallelized", output_dtypes=[float])
@@ -377,14 +377,14 @@ def has_floors(f: xr.Dataset) -> bool:
     return any(FLOOR in values.attrs for values in f.data_vars.values())
 
 
-def is_checked_for_noise(f: xr.Dataset, name: str, row: Field, count: int) -> bool:
+def is_checked_for_noise(f: xr.Dataset, name: str, field: Field, count: int) -> bool:
     """Return whether an average of so many steps warns of the noise of a norm.
 
     Of few steps those alone that were asked for by name, and whose floor takes the contacts of a step.
     """
-    if not row.is_norm:
+    if not field.is_norm:
         return False
-    lacks_floor = row.floor is not None and FLOOR not in f[name].attrs
+    lacks_floor = field.floor is not None and FLOOR not in f[name].attrs
     return count >= MIN_BIAS_BLOCKS or (NAMED in f.attrs and lacks_floor)
 
 
@@ -415,10 +415,10 @@ def warn_of_floors(mean: xr.Dataset, options: Options, purpose: str) -> None:
     for name in map(str, mean.data_vars):
         if FLOOR not in mean[name].attrs:
             continue
-        row = registry.row(name, options)
+        field = registry.field_of(name, options)
         floor = mean[name].attrs[FLOOR] / math.sqrt(number)
-        if floor > CONSIDERABLE_FLOOR * row.usual:
-            texts.append(f"{name} is about {row.floor_text(floor)}")
+        if floor > CONSIDERABLE_FLOOR * field.usual:
+            texts.append(f"{name} is about {field.floor_text(floor)}")
     if texts:
         warn_once(
             f"floors of {purpose}",

@@ -67,9 +67,9 @@ class Options:
         Derivatives along averaged axes: "zero", "box" (rates of a sheared box), or "unknown", as no
         axis is resolved or fixed and an averaged one is not periodic.
     own : tuple
-        Fields from outside xcg, each with a `name`, its `row`, and `moments` by name: of the
+        Fields from outside xcg, each with a `name`, its `field`, and `moments` by name: of the
         scene's own variables, see `xcg.fields.formulas.variables.OwnField`, and fields that users
-        registered, see `OwnRow`. What computes a plan in another process finds them here.
+        registered, see `NamedField`. What computes a plan in another process finds them here.
     """
 
     plane: tuple[int, ...] = (0, 1, 2)
@@ -92,9 +92,9 @@ class Options:
     own: tuple[Any, ...] = ()
 
     @cached_property
-    def own_rows(self) -> dict[str, Field]:
-        """Rows of the fields from outside xcg, by name."""
-        return {one.name: one.row for one in self.own}
+    def own_fields(self) -> dict[str, Field]:
+        """Fields from outside xcg, by name."""
+        return {own.name: own.field for own in self.own}
 
     @property
     def pressure_axes(self) -> tuple[int, ...] | None:

@@ -24,7 +24,7 @@ from xcg.fields.formulas.rules import (
     lacking_sums,
     takes_covariance,
 )
-from xcg.fields.formulas.variables import row_of_result
+from xcg.fields.formulas.variables import field_of_result
 from xcg.scene.conform import in_order, labels_along
 from xcg.scene.facts import require_facts
 from xcg.scene.schema import COMPONENTS
@@ -47,14 +47,14 @@ class Averaging:
     ----------
     purpose : str
         Name of the average, for messages.
-    rows : mapping
-        Rows of the fields; None for other variables.
+    definitions : mapping
+        Fields of the registry by name; None for other variables.
     options : Options
         Choices of the algebra that the fields were computed with.
     """
 
     purpose: str
-    rows: Mapping[str, Field | None]
+    definitions: Mapping[str, Field | None]
     options: Options
 
     @classmethod
@@ -62,33 +62,37 @@ class Averaging:
         """Return the average of a result, whose attributes hold its options."""
         require_fields(f, purpose)
         options = registry.options_of(f.attrs)
-        rows: dict[str, Field | None] = {}
+        definitions: dict[str, Field | None] = {}
         for name in map(str, f.data_vars):
             if name in registry.FIELDS:
-                rows[name] = registry.row(name, options)
+                definitions[name] = registry.field_of(name, options)
             else:
-                rows[name] = row_of_result(f[name])
-        return cls(purpose, rows, options)
+                definitions[name] = field_of_result(f[name])
+        return cls(purpose, definitions, options)
 
     def to_sums(self, f: xr.Dataset, dims: Sequence[str] = ()) -> xr.Dataset:
         """Return what may be averaged over some dims: additive fields, numerator and denominator of each ratio.
 
         Beside the fields that take the covariance of the velocity, the sums that it follows from.
         """
-        rows = self.rows
+        definitions = self.definitions
         purpose = self.purpose
-        errors = errors_among(rows)
+        errors = errors_among(definitions)
         if errors:
             raise ValueError(
                 f"{purpose} takes no mean of errors and biases ({', '.join(errors)}): call it before time_average, on "
                 "a result without errors=True"
             )
-        anew = [name for name, row in rows.items() if row and not row.additive and not row.weight]
+        anew = [
+            name
+            for name, field in definitions.items()
+            if field and not field.additive and not field.weight
+        ]
         if anew:
             required = ("plane", "gradient", "pressure_dims", "deviatoric", "size", "temperature")
             way_out = f"or leave out what {purpose} computes anew from averages, {', '.join(anew)}"
             require_facts(f, required, "this result", way_out)
-        missing = lacking_sums(rows, self.options)
+        missing = lacking_sums(definitions, self.options)
         if missing:
             lacks = [f"{name} needs {', '.join(fields)}" for name, fields in missing.items()]
             sums = ", ".join(all_of(missing))
@@ -101,21 +105,21 @@ class Averaging:
                 f"{purpose} averages ratios through their sums, and some are not in this result: "
                 f"{'; '.join(lacks)}{way_out}"
             )
-        f = _without_gaps(self._with_components(f), rows)
+        f = _without_gaps(self._with_components(f), definitions)
         out: dict[str, xr.DataArray] = {}
-        for name, row in rows.items():
-            assert row is not None
-            if row.additive:
+        for name, field in definitions.items():
+            assert field is not None
+            if field.additive:
                 out[name] = f[name].astype(float)
                 if SKIPPED in f.coords:  # whole numbers of such steps are -1
                     out[name] = out[name].where(~f[SKIPPED])
-            elif row.weight:
-                weight = f[row.weight]
-                if row.by_bulk:
+            elif field.weight:
+                weight = f[field.weight]
+                if field.by_bulk:
                     weight = _of_bulk(weight, name, purpose)
                 weight = weight.where(f[name].notnull(), 0.0)
                 value = f[name].fillna(0.0)
-                if row.harmonic:
+                if field.harmonic:
                     out[f"{name}/top"] = weight
                     out[f"{name}/bottom"] = weight / value.where(weight != 0, 1.0)
                 else:
@@ -138,8 +142,8 @@ class Averaging:
                 fields[ratio] = sums[name] / denominator.where(denominator != 0)
         if "velocity/second" in sums:
             added = _about_averaged_velocity(sums)
-            for name, row in self.rows.items():
-                if row and takes_covariance(row, options):
+            for name, field in self.definitions.items():
+                if field and takes_covariance(field, options):
                     fields[name] = fields[name] + _of_covariance(name, added, options)
         out = {}
         for name in map(str, f.data_vars):
@@ -158,7 +162,9 @@ class Averaging:
                 f = ordered
                 continue
             derived = [
-                name for name, row in self.rows.items() if row and not (row.additive or row.weight)
+                name
+                for name, field in self.definitions.items()
+                if field and not (field.additive or field.weight)
             ]
             anew = [name for name in derived if self._takes_tensors(name)]
             if anew:
@@ -172,17 +178,21 @@ class Averaging:
 
     def _takes_tensors(self, name: str) -> bool:
         """Return whether a field is computed anew from vectors or tensors."""
-        row = registry.row(name, self.options)
-        if row.additive or row.weight:
-            return row.rank > 0
-        return any(map(self._takes_tensors, row.fields))
+        field = registry.field_of(name, self.options)
+        if field.additive or field.weight:
+            return field.rank > 0
+        return any(map(self._takes_tensors, field.fields))
 
     def _about_mean_velocity(self, f: xr.Dataset, dims: Sequence[str]) -> dict[str, xr.DataArray]:
         """Return the sums of m (v - u)(v - u) less the kinetic stress, of m (v - u) and m (V - u), by phase, if needed.
 
         u is the mean over `dims` of the bulk's velocity: relative to it nothing large is subtracted.
         """
-        names = [n for n, row in self.rows.items() if row and takes_covariance(row, self.options)]
+        names = [
+            n
+            for n, field in self.definitions.items()
+            if field and takes_covariance(field, self.options)
+        ]
         if not names:
             return {}
         lacking = _lacking_for_covariance(f)
@@ -253,23 +263,23 @@ def _about_averaged_velocity(sums: xr.Dataset) -> dict[str, xr.DataArray]:
 
 def _of_covariance(name: str, added: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
     """Return what the covariance or the shift of the velocity adds to an averaged field."""
-    row = registry.row(name, options)
-    if row.covariance is not None:
-        return _compute(replace(row, compute=row.covariance), added, options)
+    field = registry.field_of(name, options)
+    if field.covariance is not None:
+        return _compute(replace(field, compute=field.covariance), added, options)
     parts = {}
-    for need in row.fields:
-        needed = registry.row(need, options)
+    for need in field.fields:
+        needed = registry.field_of(need, options)
         if takes_covariance(needed, options):
             parts[need] = _of_covariance(need, added, options)
         else:
             tail = ("component", "direction")[needed.rank :]
             parts[need] = xr.zeros_like(added["covariance"].isel(dict.fromkeys(tail, 0), drop=True))
-    return _compute(row, parts, options)
+    return _compute(field, parts, options)
 
 
-def _without_gaps(f: xr.Dataset, rows: Mapping[str, Field | None]) -> xr.Dataset:
+def _without_gaps(f: xr.Dataset, definitions: Mapping[str, Field | None]) -> xr.Dataset:
     """Return the sums of the temperatures of phases, 0 where the grains are too few for a fit, which leaves nothing."""
-    if not any(row and row.across_phases for row in rows.values()):
+    if not any(field and field.across_phases for field in definitions.values()):
         return f
     return f.assign(
         {
@@ -295,17 +305,17 @@ def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
 def derive(name: str, fields: dict[str, xr.DataArray], options: Options) -> xr.DataArray:
     """Return one of the fields, or compute it and add it and what it needed to them."""
     if name not in fields:
-        row = registry.row(name, options)
-        needs = {need: derive(need, fields, options) for need in row.fields}
-        fields[name] = _compute(row, needs, options)
+        field = registry.field_of(name, options)
+        needs = {need: derive(need, fields, options) for need in field.fields}
+        fields[name] = _compute(field, needs, options)
     return fields[name]
 
 
-def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
-    """Compute one row of the registry on labelled arrays."""
+def _compute(field: Field, needs: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
+    """Compute one field of the registry on labelled arrays."""
     tail = ("component", "direction")
     dims: tuple[str, ...] = tail
-    if row.across_phases:
+    if field.across_phases:
         dims = ("phase", "other_phase", *tail)
         pairs = needs["fluctuation_density_by_pair"]
         if pairs.sizes.get("phase") != pairs.sizes.get("other_phase"):
@@ -315,15 +325,15 @@ def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) ->
     of_needs = [[dim for dim in dims if dim in need.dims] for need in needs.values()]
 
     def plain(*arrays: NDArray) -> NDArray:
-        if row.across_phases:
+        if field.across_phases:
             arrays = tuple(
                 np.moveaxis(a, -len(core), 0) for a, core in zip(arrays, of_needs, strict=True)
             )
         fields = SimpleNamespace(**dict(zip(needs, arrays, strict=True)))
         with np.errstate(all="ignore"):
-            values = row.compute(fields, None, options)
-        if row.across_phases:
-            return np.moveaxis(values, 0, -1 - row.rank)
+            values = field.compute(fields, None, options)
+        if field.across_phases:
+            return np.moveaxis(values, 0, -1 - field.rank)
         return values
 
     if not needs:
@@ -332,7 +342,7 @@ def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) ->
         plain,
         *needs.values(),
         input_core_dims=of_needs,
-        output_core_dims=[(*dims[: row.across_phases], *tail[: row.rank])],
+        output_core_dims=[(*dims[: field.across_phases], *tail[: field.rank])],
         dask="parallelized",
         output_dtypes=[float],
     )

@@ -29,10 +29,10 @@ class Program:
     target : array (stores, 9)
         Rows of these components.
     widths : dict
-        How many numbers of each field, which it computes, are stored for a place.
+        How many numbers of each field, which it computes, are stored for a node.
     stores : array (stores, 4)
         Its field's number, as in `widths`; its first component; how many numbers the field holds for
-        a place; how many there are.
+        a node; how many there are.
     """
 
     instructions: NDArray
@@ -46,13 +46,13 @@ class Program:
         self,
         table: Mapping[str, tuple[int, NDArray, NDArray]],
         filled: Sequence[NDArray],
-        place: NDArray,
+        indices: NDArray,
         out: Mapping[str, NDArray],
         order: NDArray | None,
     ) -> None:
-        """Compute fields (places, ...) from sums at some nodes, each to its `place` (nodes,).
+        """Compute fields (nodes, ...) from sums at some nodes, with their `indices` (some nodes,) among all.
 
-        They are taken in an `order` (nodes,), such as that of their places: memory is then written
+        They are taken in an `order` (some nodes,), such as that of their indices: memory is then written
         line by line.
 
         Parameters
@@ -86,7 +86,7 @@ class Program:
         ]
         columns_of_arrays = np.column_stack([widths, rows[: len(arrays)]])
         if order is not None:
-            place = place[order]
+            indices = indices[order]
         loops.run(
             self.instructions,
             _padded(arrays),
@@ -95,7 +95,7 @@ class Program:
             _padded([out[name] for name in self.widths]),
             self.stores,
             self.target,
-            place,
+            indices,
             order,
             True if (self.instructions[:, 0] == loops.FIT).any() else None,
             np.empty((loops.TILE + EIGHT) * max(widths)),

@@ -64,7 +64,7 @@ class _Fields(Mapping[str, Field]):
 
 
 TOPICS = (flow, contacts, rheology, energy, orientation, displacement, errors)
-_ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.ROWS.items()}
+_ROWS: dict[str, Field] = {name: field for topic in TOPICS for name, field in topic.ROWS.items()}
 REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
 FIELDS: Mapping[str, Field] = _Fields(REGISTERED, _ROWS)
@@ -143,10 +143,10 @@ CALLS = {
 WAYS = flow.WAYS | rheology.WAYS | contacts.WAYS | errors.WAYS
 
 
-def row(name: str, options: Options) -> Field:
-    """Return the row of a field, as computed with some options."""
-    if options.own and name in options.own_rows:
-        return options.own_rows[name]
+def field_of(name: str, options: Options) -> Field:
+    """Return the field of a name, as computed with some options."""
+    if options.own and name in options.own_fields:
+        return options.own_fields[name]
     usual = FIELDS[name]
     if name in WAYS:
         option, ways = WAYS[name]
@@ -184,40 +184,40 @@ def listed(*, registered: bool = True) -> list[str]:
 
 
 @dataclass(frozen=True)
-class OwnRow:
+class NamedField:
     """A field that a user registered, or that a preset defines, as `Options.own` holds it."""
 
     name: str
-    row: Field
+    field: Field
     moments: ClassVar[Mapping[str, Moment]] = MappingProxyType({})
 
 
-def rows_of(
-    fields: Iterable[str], options: Options, rows: dict[str, Field] | None = None
+def fields_of(
+    names: Iterable[str], options: Options, definitions: dict[str, Field] | None = None
 ) -> dict[str, Field]:
-    """Return the rows of some fields and of all that they follow from, each after its own inputs.
+    """Return some fields and all that they follow from by name, each after its own inputs.
 
-    They are added to `rows` where these are given.
+    They are added to `definitions` where these are given.
     """
-    rows = {} if rows is None else rows
-    for name in fields:
-        if name not in rows:
-            field = row(name, options)
-            rows_of(field.fields, options, rows)
-            rows[name] = field
-    return rows
+    definitions = {} if definitions is None else definitions
+    for name in names:
+        if name not in definitions:
+            field = field_of(name, options)
+            fields_of(field.fields, options, definitions)
+            definitions[name] = field
+    return definitions
 
 
-def moments_of(rows: Iterable[Field], options: Options) -> dict[str, Moment]:
-    """Return the moments that rows need, by name: of `MOMENTS`, or of fields from outside xcg."""
-    known = ChainMap({}, *(one.moments for one in options.own), MOMENTS)
+def moments_of(fields: Iterable[Field], options: Options) -> dict[str, Moment]:
+    """Return the moments that fields need, by name: of `MOMENTS`, or of fields from outside xcg."""
+    moments = ChainMap({}, *(named.moments for named in options.own), MOMENTS)
     if options.friction is not None:
         for name, column in (
             ("sliding_contacts", sliding_contacts),
             ("load_bearing_sliding", load_bearing_sliding),
         ):
-            known[name] = replace(MOMENTS[name], column=partial(column, options.friction))
-    return {name: known[name] for field in rows for name in field.moments}
+            moments[name] = replace(MOMENTS[name], column=partial(column, options.friction))
+    return {name: moments[name] for field in fields for name in field.moments}
 
 
 def evaluate(
@@ -227,7 +227,7 @@ def evaluate(
     s = SimpleNamespace(**moments)
     f = SimpleNamespace()
     with np.errstate(all="ignore"):  # as the program: nodes without grains divide 0 by 0
-        for name, field in rows_of(fields, options).items():
+        for name, field in fields_of(fields, options).items():
             setattr(f, name, field.compute(f, s, options))
     return {name: getattr(f, name) for name in fields}
 
@@ -324,7 +324,7 @@ def register_field(
     >>> f.major_stress.attrs["units"]
     'Pa'
     """
-    row = Field(
+    field = Field(
         rank=rank,
         units=_unit(name, units, powers),
         long_name=long_name or str(name).replace("_", " "),
@@ -336,20 +336,21 @@ def register_field(
         weight=weight,
         default=False,
     )
-    _check(name, row)
-    row = replace(
-        row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), "")
+    _check(name, field)
+    field = replace(
+        field,
+        option=next((FIELDS[need].option for need in field.fields if FIELDS[need].option), ""),
     )
-    trial = _try_out(name, row)
+    trial = _try_out(name, field)
     if not constants:
-        row = _with_unit_of_formula(name, row, trial, is_given=bool(units or powers))
-    REGISTERED[name] = row
+        field = _with_unit_of_formula(name, field, trial, is_given=bool(units or powers))
+    REGISTERED[name] = field
 
 
-def _names(given: str | Sequence[str]) -> tuple[str, ...]:
-    if isinstance(given, str):
-        return (given,)
-    return tuple(given)
+def _names(names: str | Sequence[str]) -> tuple[str, ...]:
+    if isinstance(names, str):
+        return (names,)
+    return tuple(names)
 
 
 def _unit(name: Any, units: str | None, powers: Sequence[int] | None) -> str:
@@ -375,34 +376,36 @@ def _refuse(name: Any, why: str) -> NoReturn:
     raise ValueError(f"register_field({name!r}): {why}") from None
 
 
-def _check(name: str, row: Field) -> None:
+def _check(name: str, field: Field) -> None:
     of_xcg = listed(registered=False)
     if not isinstance(name, str) or not name.isidentifier() or name.startswith("_"):
         _refuse(name, "expected a name of letters, digits and underscores, such as 'major_stress'")
     if name in (*of_xcg, *COORDINATES):
         _refuse(name, "the name is that of a field of xcg, or of a coordinate; choose another")
-    if not callable(row.compute):
-        _refuse(name, f"compute={row.compute!r}: expected a function compute(f, s, o)")
-    if row.rank not in (0, 1, 2):
-        _refuse(name, f"rank={row.rank!r}: expected 0 (scalar), 1 (vector) or 2 (tensor)")
-    if not row.fields and not row.moments:
+    if not callable(field.compute):
+        _refuse(name, f"compute={field.compute!r}: expected a function compute(f, s, o)")
+    if field.rank not in (0, 1, 2):
+        _refuse(name, f"rank={field.rank!r}: expected 0 (scalar), 1 (vector) or 2 (tensor)")
+    if not field.fields and not field.moments:
         _refuse(name, "name the fields= or moments= that it is computed from")
-    for need in row.fields:
+    for need in field.fields:
         if need not in listed():
             _refuse(
                 name, f"it needs an {unknown('field', need, listed(), 'fields are in xcg.FIELDS')}"
             )
-    for need in row.moments:
+    for need in field.moments:
         if need not in MOMENTS:
             where = "moments are in xcg.fields.sums.moments.MOMENTS"
             _refuse(name, f"it needs an {unknown('moment', need, list(MOMENTS), where)}")
-    if name in rows_of(row.fields, Options()):
-        _refuse(name, f"it is needed for {', '.join(row.fields)}, which it needs itself")
-    if row.weight and (row.additive or row.weight not in of_xcg or not FIELDS[row.weight].additive):
-        sums = [field for field in of_xcg if FIELDS[field].additive and FIELDS[field].rank == 0]
+    if name in fields_of(field.fields, Options()):
+        _refuse(name, f"it is needed for {', '.join(field.fields)}, which it needs itself")
+    if field.weight and (
+        field.additive or field.weight not in of_xcg or not FIELDS[field.weight].additive
+    ):
+        sums = [other for other in of_xcg if FIELDS[other].additive and FIELDS[other].rank == 0]
         _refuse(
             name,
-            f"weight={row.weight!r}: expected, for a field that is not additive, one of {', '.join(sums)}",
+            f"weight={field.weight!r}: expected, for a field that is not additive, one of {', '.join(sums)}",
         )
 
 
@@ -415,29 +418,29 @@ class _Trial:
     options: Options
 
 
-def _with_unit_of_formula(name: str, row: Field, trial: _Trial, *, is_given: bool) -> Field:
-    """Return the row with the unit of its formula; raise ValueError if another one was given."""
-    powers = _powers_of_formula(name, row, trial)
-    if powers is None or powers == row.powers:
-        return row
+def _with_unit_of_formula(name: str, field: Field, trial: _Trial, *, is_given: bool) -> Field:
+    """Return the field with the unit of its formula; raise ValueError if another one was given."""
+    powers = _powers_of_formula(name, field, trial)
+    if powers is None or powers == field.powers:
+        return field
     way_out = "pass constants=True if numbers in the formula have units of their own"
     if not all(power.is_integer() for power in powers):
         if is_given:
             why = "its formula has none: it mixes dimensions, or takes a root of one"
-            _refuse(name, f"its unit was given as {row.units!r}, and {why}; {way_out}")
-        return row
+            _refuse(name, f"its unit was given as {field.units!r}, and {why}; {way_out}")
+        return field
     length, mass, time = map(int, powers)
     unit = units_of((length, mass, time))
     if is_given:
         why = f"its formula has the unit {unit!r}"
         _refuse(
             name,
-            f"its unit was given as {row.units!r}, and {why}: leave units= and powers= out, or {way_out}",
+            f"its unit was given as {field.units!r}, and {why}: leave units= and powers= out, or {way_out}",
         )
-    return replace(row, units=unit)
+    return replace(field, units=unit)
 
 
-def _powers_of_formula(name: str, row: Field, trial: _Trial) -> tuple[float, ...] | None:
+def _powers_of_formula(name: str, field: Field, trial: _Trial) -> tuple[float, ...] | None:
     """Return the powers of (length, mass, time) of a formula, NaN if it mixes dimensions; None if it gives no numbers.
 
     It is computed again from inputs in units of half the length, mass or time.
@@ -448,12 +451,12 @@ def _powers_of_formula(name: str, row: Field, trial: _Trial) -> tuple[float, ...
         return None
     powers = []
     for k in range(3):
-        fields = {n: trial.fields[n] * 2.0 ** FIELDS[n].powers[k] for n in row.fields}
-        moments = {n: trial.moments[n] * 2.0 ** MOMENTS[n].powers[..., k] for n in row.moments}
+        fields = {n: trial.fields[n] * 2.0 ** FIELDS[n].powers[k] for n in field.fields}
+        moments = {n: trial.moments[n] * 2.0 ** MOMENTS[n].powers[..., k] for n in field.moments}
         viscosity = 2.0 ** powers_of("Pa s")[k] * (trial.options.fluid_viscosity or 0.0)
         options = replace(trial.options, fluid_viscosity=viscosity)
         with np.errstate(all="ignore"):
-            scaled = row.compute(SimpleNamespace(**fields), SimpleNamespace(**moments), options)
+            scaled = field.compute(SimpleNamespace(**fields), SimpleNamespace(**moments), options)
             power = np.log2(np.asarray(scaled, float) / values)[is_number]
         nearest = np.round(2 * power[0]) / 2
         if not np.allclose(power, nearest, rtol=0.0, atol=1e-6):
@@ -462,14 +465,14 @@ def _powers_of_formula(name: str, row: Field, trial: _Trial) -> tuple[float, ...
     return tuple(powers)
 
 
-def _try_out(name: str, row: Field) -> _Trial:
+def _try_out(name: str, field: Field) -> _Trial:
     """Return the field, computed from made-up moments."""
-    options = Options(fluid_viscosity=1.0, friction=1.0, own=(OwnRow(name, row),))
-    moments = _made_up(moments_of(rows_of((name,), options).values(), options))
+    options = Options(fluid_viscosity=1.0, friction=1.0, own=(NamedField(name, field),))
+    moments = _made_up(moments_of(fields_of((name,), options).values(), options))
     of_some = {moment: a[:, 2:4] for moment, a in moments.items() if moment != "reference"}
     of_some["reference"] = moments["reference"][2:4]
     try:
-        fields = evaluate([*row.fields, name], moments, options)
+        fields = evaluate([*field.fields, name], moments, options)
         again = evaluate([name], of_some, options)[name]
     except Exception as error:
         why = "its formula fails on a trial of a few nodes, of which one sees no grains (ratios are NaN there)"
@@ -479,14 +482,14 @@ def _try_out(name: str, row: Field) -> _Trial:
             f"register_field({name!r}): {why}: {type(error).__name__}: {error}"
         ) from error
     values = np.asarray(fields[name])
-    expected = (_PHASES, _NODES, *(3,) * row.rank)
+    expected = (_PHASES, _NODES, *(3,) * field.rank)
     if values.shape != expected or values.dtype.kind not in "biuf":
         _refuse(
             name,
             f"of {_PHASES} phases at {_NODES} nodes its formula gives {values.dtype} {values.shape}; "
-            f"of rank={row.rank} it has to give numbers {expected}",
+            f"of rank={field.rank} it has to give numbers {expected}",
         )
-    for need, unchanged in evaluate(row.fields, moments, options).items():
+    for need, unchanged in evaluate(field.fields, moments, options).items():
         if not np.array_equal(fields[need], unchanged, equal_nan=True):
             _refuse(
                 name,
@@ -504,8 +507,8 @@ def _made_up(moments: Mapping[str, Moment]) -> dict[str, NDArray]:
     """Moments (phase, node, ...) of two phases and the bulk, read-only; symmetric tensors are positive."""
     rng = np.random.default_rng(0)
     made_up = {}
-    for name, row in moments.items():
-        tail = (_PHASES,) * row.paired + row.shape
+    for name, moment in moments.items():
+        tail = (_PHASES,) * moment.paired + moment.shape
         values = rng.uniform(0.5, 1.5, (_PHASES, _NODES, *tail))
         if tail[-2:] == (3, 3):
             values = values + values.swapaxes(-1, -2) + 4 * np.eye(3)

@@ -1,4 +1,4 @@
-"""Rules of averages: the fields that averages of a field are made of, by the rule on its row."""
+"""Rules of averages: the fields that averages of a field are made of, by the rule of its definition."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ..
     errors = errors_among(names)
     held = dict.fromkeys(name for name in names if name not in errors)
     for name in tuple(held):
-        _obtained(name, registry.row(name, options), held, options)
-    if any(takes_covariance(registry.row(name, options), options) for name in held):
+        _obtained(name, registry.field_of(name, options), held, options)
+    if any(takes_covariance(registry.field_of(name, options), options) for name in held):
         held |= dict.fromkeys(OF_COVARIANCE)
     return tuple(name for name in held if name not in names)
 
 
-def lacking_sums(rows: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
-    """Return the fields that averages of each field of a result lack, each named once; a row may be None."""
-    held = dict.fromkeys(rows)
+def lacking_sums(definitions: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
+    """Return the fields that averages of each field of a result lack, each named once; a definition may be None."""
+    held = dict.fromkeys(definitions)
     lacking: dict[str, list[str]] = {}
-    for name, row in rows.items():
-        of_field = _obtained(name, row, held, options)
+    for name, field in definitions.items():
+        of_field = _obtained(name, field, held, options)
         if of_field:
             lacking[name] = list(dict.fromkeys(of_field))
     return lacking
 
 
-def _obtained(name: str, row: Field | None, held: dict[str, None], options: Options) -> list[str]:
+def _obtained(name: str, field: Field | None, held: dict[str, None], options: Options) -> list[str]:
     """Return what averages of a field lack, and add it to what is `held`."""
-    if row is None:
+    if field is None:
         return [NO_RULE]
     parts = [name]
-    if row.additive:
+    if field.additive:
         if _follows(name, held, options):
             return []
-    elif row.weight:
-        parts.append(row.weight)
-    elif row.moments:
+    elif field.weight:
+        parts.append(field.weight)
+    elif field.moments:
         return [NO_RULE]
     else:
         lacking = []
-        for need in row.fields:
-            lacking += _obtained(need, registry.row(need, options), held, options)
+        for need in field.fields:
+            lacking += _obtained(need, registry.field_of(need, options), held, options)
         return lacking
     parts = [part for part in parts if part not in held]
     held |= dict.fromkeys(parts)
@@ -61,11 +61,11 @@ def _follows(name: str, held: Mapping[str, None], options: Options) -> bool:
     """Return whether a sum is held, or follows from sums that are."""
     if name in held:
         return True
-    row = registry.row(name, options)
+    field = registry.field_of(name, options)
     return (
-        bool(row.fields)
-        and not row.moments
-        and all(_follows(need, held, options) for need in row.fields)
+        bool(field.fields)
+        and not field.moments
+        and all(_follows(need, held, options) for need in field.fields)
     )
 
 
@@ -85,30 +85,30 @@ def errors_among(names: Iterable[str]) -> list[str]:
     return errors
 
 
-def has_bias(row: Field, options: Options) -> bool:
+def has_bias(field: Field, options: Options) -> bool:
     """Return whether a field of averaged sums has a known bias: it is neither linear in them, a ratio, nor an angle."""
-    if row.is_angle:
+    if field.is_angle:
         return False
-    return not (row.additive or row.weight) or takes_covariance(row, options)
+    return not (field.additive or field.weight) or takes_covariance(field, options)
 
 
-def takes_covariance(row: Field, options: Options) -> bool:
+def takes_covariance(field: Field, options: Options) -> bool:
     """Return whether averages are about the averaged velocity: of kinetic stress, what is linear in it, and fluxes."""
-    if row.covariance is not None:
+    if field.covariance is not None:
         return True
-    if not row.additive or row.moments:
+    if not field.additive or field.moments:
         return False
-    needs = [registry.row(name, options) for name in row.fields]
+    needs = [registry.field_of(name, options) for name in field.fields]
     is_linear = all(need.additive for need in needs)
     return is_linear and any(takes_covariance(need, options) for need in needs)
 
 
-def takes_stress_of_step(row: Field, options: Options) -> bool:
+def takes_stress_of_step(field: Field, options: Options) -> bool:
     """Return whether a field follows from the kinetic stress, but for temperatures; a flux does not."""
-    if row.rank == 1:
+    if field.rank == 1:
         return False
-    if takes_covariance(row, options):
+    if takes_covariance(field, options):
         return True
-    return not row.moments and any(
-        takes_stress_of_step(registry.row(name, options), options) for name in row.fields
+    return not field.moments and any(
+        takes_stress_of_step(registry.field_of(name, options), options) for name in field.fields
     )

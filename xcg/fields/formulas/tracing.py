@@ -34,18 +34,18 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     if options.gradient == "finite_difference":  # of all nodes at once
         return None
     record = Trace()
-    rows = registry.rows_of(fields, options)
+    definitions = registry.fields_of(fields, options)
     moments = {
         name: record.load(name, moment.columns, groups, paired=moment.paired)
-        for name, moment in registry.moments_of(rows.values(), options).items()
+        for name, moment in registry.moments_of(definitions.values(), options).items()
     }
     moments["reference"] = zero_if_unknown(record.load("reference", np.arange(3))[0, 0])
     sums = SimpleNamespace(**moments)
     traced: dict[str, Any] = {}
-    for name, row in rows.items():
-        if traced.keys() >= set(row.fields):
+    for name, field in definitions.items():
+        if traced.keys() >= set(field.fields):
             try:
-                traced[name] = as_symbols(row.compute(SimpleNamespace(**traced), sums, options))
+                traced[name] = as_symbols(field.compute(SimpleNamespace(**traced), sums, options))
             except Exception:  # numbers may do; if not, they give an error that says why
                 continue
     results = {}
@@ -53,7 +53,7 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
         if name not in traced:
             continue
         components = list(traced[name].flat)
-        together = 3 ** rows[name].rank
+        together = 3 ** definitions[name].rank
         for first in range(0, len(components), together):
             values = components[first : first + together]
             results[name, first, together] = [record.of(value).number for value in values]
@@ -112,8 +112,8 @@ def _allocate(
             if not uses[operand] and register[operand] >= kept:
                 free.append(register[operand])
     scratch = np.zeros((next(fresh), loops.TILE))
-    for place, value in constants.items():
-        scratch[place] = value
+    for number, value in constants.items():
+        scratch[number] = value
     widths, stores = _table_of_stores(stored)
     return Program(np.array(instructions, "uint64"), scratch, tuple(inputs), target, widths, stores)
 
@@ -163,7 +163,7 @@ def _fixed_registers(
 def _table_of_stores(
     stored: Sequence[tuple[str, int, int]],
 ) -> tuple[dict[str, int], NDArray]:
-    """Return how many numbers of each field a place holds, and the stores by field's number."""
+    """Return how many numbers of each field a node holds, and the stores by field's number."""
     widths: dict[str, int] = {}
     for name, first, components in stored:
         widths[name] = max(widths.get(name, 0), first + components)

@@ -180,8 +180,8 @@ class OwnField:
         return _MeanError(self.quantity.variable, self.weight, f"{self.name}_error")
 
     @property
-    def row(self) -> Field:
-        """The row that it would have in the registry of fields."""
+    def field(self) -> Field:
+        """The field as the registry would hold it."""
         names = tuple(self.moments)
         rank = self.rank
         q = self.quantity.variable
@@ -254,7 +254,7 @@ class OwnField:
         )
 
 
-def row_of_result(field: xr.DataArray) -> Field | None:
+def field_of_result(field: xr.DataArray) -> Field | None:
     """Return what averages have to know of a quantity in a result, from its attributes; None for other fields."""
     if "source" not in field.attrs:
         return None
@@ -263,9 +263,9 @@ def row_of_result(field: xr.DataArray) -> Field | None:
 
 
 def own_fields(
-    requested: Iterable[str | Quantity | registry.OwnRow], scene: Scene
-) -> dict[int, OwnField | registry.OwnRow]:
-    """Return the requested fields that are quantities of a variable, or rows, by their index in the list.
+    requested: Iterable[str | Quantity | registry.NamedField], scene: Scene
+) -> dict[int, OwnField | registry.NamedField]:
+    """Return the requested fields that are quantities of a variable, or named fields, by their index in the list.
 
     Names of fields come first: ``"density"`` is the field, and ``Mean("density")`` the mean of the
     variable.
@@ -275,11 +275,11 @@ def own_fields(
     SceneError, ValueError
         As `own_field`, or if two have the same name.
     """
-    own: dict[int, OwnField | registry.OwnRow] = {}
+    own: dict[int, OwnField | registry.NamedField] = {}
     by_name: dict[str, list[Quantity]] = {}
     for k, field in enumerate(requested):
         quantity: Any = field
-        if isinstance(field, registry.OwnRow):
+        if isinstance(field, registry.NamedField):
             own[k] = field
             continue
         if isinstance(field, str) and field not in registry.FIELDS:

@@ -22,17 +22,17 @@ _MOST_OF_ONE_AXIS = 1 << 24  # 134 MB of places
 _FINEST = 1e-9  # least spacing, in radii of the support
 
 
-def check_axes(known: Sequence[str], **places: Iterable[str]) -> None:
+def check_axes(axes_of_scene: Sequence[str], **places: Iterable[str]) -> None:
     """Raise ValueError for axes that a scene does not have, or that an argument names twice."""
     for name, axes in places.items():
-        wrong = [a for a in axes if a not in known]
+        wrong = [a for a in axes if a not in axes_of_scene]
         if wrong:
-            of_scene = ", ".join(known)
-            if len(known) == 2:
-                of_scene += " (one layer, dimension=2)"
+            listed = ", ".join(axes_of_scene)
+            if len(axes_of_scene) == 2:
+                listed += " (one layer, dimension=2)"
             if "r" in wrong:
-                of_scene += "; axes r, theta and z need frame=xcg.Cylindrical(...)"
-            raise ValueError(f"{name} names {wrong}: the axes of this scene are {of_scene}")
+                listed += "; axes r, theta and z need frame=xcg.Cylindrical(...)"
+            raise ValueError(f"{name} names {wrong}: the axes of this scene are {listed}")
         if len(set(axes)) < len(list(axes)):
             raise ValueError(f"{name}={axes!r} names an axis twice")
 
@@ -41,10 +41,10 @@ def check_places(
     axes: Sequence[str],
     at: Mapping[str, float],
     bounds: Bounds,
-    known: Sequence[str],
+    axes_of_scene: Sequence[str],
 ) -> None:
     """Raise ValueError for unknown axes, axes both resolved and fixed, and bounds of axes that are not resolved."""
-    check_axes(known, axes=axes, at=at, bounds=bounds)
+    check_axes(axes_of_scene, axes=axes, at=at, bounds=bounds)
     if both := [a for a in axes if a in at]:
         raise ValueError(
             f"axes= and at={dict(at)!r} both name {both}: an axis is either resolved or fixed"
@@ -164,40 +164,33 @@ def make_grid(
     spacings: Mapping[str, Any] = dict.fromkeys(axes, spacing)
     if isinstance(spacing, Mapping):
         spacings = spacing
-    origin = np.zeros(3)
-    last = np.zeros(3)
-    half = np.zeros(3)
     nodes: dict[str, NDArray] = {}
     distances: dict[str, float] = {}
     for a in axes:
-        x, distance = nodes_along(
+        nodes[a], distances[a] = nodes_along(
             a, spacings.get(a), axes, bounds, automatic, period, cutoff, cells
         )
-        k = COMPONENTS.index(a)
-        origin[k] = x[0]
-        last[k] = x[-1]
-        half[k] = 0.5 * distance * cells
-        nodes[a] = x
-        distances[a] = distance
     sizes = tuple(map(len, nodes.values()))
     if math.prod(map(float, sizes)) > MAX_NODES:
         shape = tuple(len(nodes.get(a, "1")) for a in COMPONENTS)
         raise MeshTooLargeError(
             f"the mesh would have {shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
         )
-    fixed = {a: float(v) for a, v in at.items()}
-    for a, place in fixed.items():
-        origin[COMPONENTS.index(a)] = place
-        last[COMPONENTS.index(a)] = place
-    coords = coords_of(nodes, fixed)
+    coords = coords_of(nodes, {a: float(v) for a, v in at.items()})
+    first = np.zeros(3)
+    last = np.zeros(3)
+    for k, a in enumerate(COMPONENTS):
+        if a in coords:
+            first[k], last[k] = np.ravel(coords[a])[[0, -1]]
+    half = np.array([0.5 * distances.get(a, 0.0) * cells for a in COMPONENTS])
     return Nodes(
         dims=tuple(axes),
         sizes=sizes,
         coords=coords,
-        seen="".join(a for a in COMPONENTS if a in coords),
+        active_axes="".join(a for a in COMPONENTS if a in coords),
         averaged="".join(a for a in plane if a not in coords),
-        origin=origin,
-        lower=origin - half,
+        origin=first,
+        lower=first - half,
         upper=last + half,
         spacing=distances,
         fitted="".join(a for a in axes if a not in bounds and a not in period),
@@ -222,7 +215,7 @@ def check_mesh(
     source : str
         Names the step.
     """
-    axes = [k for k, a in enumerate(COMPONENTS) if a in nodes.seen and open_axes[k]]
+    axes = [k for k, a in enumerate(COMPONENTS) if a in nodes.active_axes and open_axes[k]]
     if not len(position) or not axes or not nodes.count:
         return
     first = nodes.lower

@@ -45,10 +45,10 @@ class PointBlock:
 
     Attributes
     ----------
-    places : array (nodes,)
+    indices : array (nodes,)
         Indices of the nodes among all nodes of the result, unsigned.
     order : array (nodes,), optional
-        Order of the nodes by their places, unsigned; None where they are in order.
+        Order of the nodes by their indices, unsigned; None where they are in order.
     cells : PointCells
         The points.
     lower, upper : array (3,)
@@ -59,7 +59,7 @@ class PointBlock:
         Where the points are the angles of rings, and the nodes averages over these.
     """
 
-    places: NDArray
+    indices: NDArray
     order: NDArray | None
     cells: PointCells
     lower: NDArray
@@ -69,7 +69,7 @@ class PointBlock:
 
     @classmethod
     def of(cls, rows: NDArray, position: NDArray, unit: float) -> PointBlock:
-        """Sort some points (3, n), which have these places (n,) among all, in ascending order."""
+        """Sort some points (3, n), which have these indices (n,) among all, in ascending order."""
         lower = position.min(axis=1)
         upper = position.max(axis=1)
         many = len(rows)
@@ -215,8 +215,8 @@ def _column(axis: str, array: xr.DataArray, sizes: Mapping[str, int]) -> NDArray
     is_lost = ~(np.abs(column) < _FARTHEST)
     if is_lost.any():
         lost = int(is_lost.argmax())
-        indices = map(int, np.unravel_index(lost, tuple(sizes.values())))
-        where = dict(zip(sizes, indices, strict=True))
+        of_dims = map(int, np.unravel_index(lost, tuple(sizes.values())))
+        where = dict(zip(sizes, of_dims, strict=True))
         raise ValueError(
             f"at[{axis!r}] is {column[lost]} at {where}: expected finite coordinates; leave these points out"
         )

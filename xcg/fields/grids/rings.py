@@ -47,7 +47,7 @@ def ring_points(nodes: Nodes, *, whole: bool) -> tuple[NDArray, NDArray, NDArray
     """
     points: list[NDArray] = []
     shares: list[NDArray] = []
-    places: list[NDArray] = []
+    indices: list[NDArray] = []
     for part in nodes.parts or ():
         rings = part.rings
         assert rings is not None
@@ -61,9 +61,9 @@ def ring_points(nodes: Nodes, *, whole: bool) -> tuple[NDArray, NDArray, NDArray
         radius, height = np.repeat(rings.place, counts, axis=0).T
         points.append(np.stack([radius * rings.cosine[rows], radius * rings.sine[rows], height], 1))
         shares.append(share)
-        places.append(np.repeat(part.places.astype(int), counts))
-    order = np.argsort(np.concatenate(places), kind="stable")
-    _, first = np.unique(np.concatenate(places)[order], return_index=True)
+        indices.append(np.repeat(part.indices.astype(int), counts))
+    order = np.argsort(np.concatenate(indices), kind="stable")
+    _, first = np.unique(np.concatenate(indices)[order], return_index=True)
     return np.concatenate(points)[order], np.concatenate(shares)[order], first
 
 
@@ -110,9 +110,9 @@ def make_rings(
     letters = letters_of(plane)
     check_axes(letters, axes=axes)
     dimension = len(plane)
-    known = [NAMES[letter] for letter in letters]
+    axes_of_scene = [NAMES[letter] for letter in letters]
     resolved = [NAMES[letter] for letter in letters if letter in axes]
-    fixed = _fixed_places(at, bounds, resolved, known)
+    fixed = _fixed_places(at, bounds, resolved, axes_of_scene)
     spacings: Mapping[str, Any] = {"r": spacing, "z": spacing}
     if isinstance(spacing, Mapping):
         spacings = spacing
@@ -129,7 +129,7 @@ def make_rings(
         )
     heights = nodes.get("z", np.array([fixed.get("z", 0.0)]))
     # by the loops' kernel; theta by its rule
-    averaged = "".join(a for a in known[2:] if a not in resolved and a not in fixed)
+    averaged = "".join(a for a in axes_of_scene[2:] if a not in resolved and a not in fixed)
     error_met = 0.0
     if "theta" in nodes or "theta" in fixed:
         angles = nodes.get("theta", np.array([fixed.get("theta", 0.0)]))
@@ -178,18 +178,18 @@ def _fixed_places(
     at: Mapping[str, Any],
     bounds: Bounds,
     resolved: Sequence[str],
-    known: Sequence[str],
+    axes_of_scene: Sequence[str],
 ) -> dict[str, float]:
     """Return the places along axes that are not resolved. Raise ValueError unless they fit."""
-    if any(np.ndim(place) for place in at.values()):
+    if any(np.ndim(coordinate) for coordinate in at.values()):
         raise ValueError(
             "at= has arrays, which name points: give these in the axes of the scene or of "
             "xcg.Rotated"
         )
     # a part of the circle may be averaged
     checked = {axis: ends for axis, ends in bounds.items() if axis != "theta" or axis in at}
-    check_places(resolved, at, checked, known)
-    fixed = {axis: float(at[axis]) for axis in known if axis in at}
+    check_places(resolved, at, checked, axes_of_scene)
+    fixed = {axis: float(at[axis]) for axis in axes_of_scene if axis in at}
     if "r" not in resolved and "r" not in fixed:
         raise ValueError(
             "a cylindrical frame takes r: resolve it (axes='r', 'rz', ...) or fix it "
@@ -322,7 +322,7 @@ def _blocks(
         points = (np.array([r * np.cos(angle), r * np.sin(angle), z]) - origin[:, None]) / cutoff
         block = PointBlock.of(np.arange(len(angle), dtype="uint64"), points, cutoff)
         where = np.empty(len(angle), dtype=int)
-        where[block.places] = np.arange(len(angle))
+        where[block.indices] = np.arange(len(angle))
         place = np.stack([radius, height], axis=1)
         rings = Rings(place, start, angle, np.cos(angle), np.sin(angle), share, where)
-        yield replace(block, places=rows.astype("uint64"), order=None, rings=rings)
+        yield replace(block, indices=rows.astype("uint64"), order=None, rings=rings)

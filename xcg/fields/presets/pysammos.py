@@ -52,11 +52,11 @@ class Formula:
     """
 
     function: Callable[..., NDArray]
-    given: tuple[Any, ...]
+    arguments: tuple[Any, ...]
 
     def __call__(self, f: Any, s: Any, o: Options) -> NDArray:
         """Compute the field from others."""
-        return self.function(f, *self.given)
+        return self.function(f, *self.arguments)
 
 
 @dataclass(frozen=True)
@@ -125,11 +125,11 @@ def _row(
     needs: Sequence[str],
     formula: str,
     compute: Callable[..., NDArray],
-    *given: Any,
+    *arguments: Any,
     rank: int = 0,
     like: str = "",
 ) -> PysammosRow:
-    """Return a row; `compute` takes the fields and what is `given`, and the unit is that of the field `like`."""
+    """Return a row; `compute` takes the fields and `arguments`, and the unit is that of the field `like`."""
     units = "1"
     if like:
         units = registry.FIELDS[like].units
@@ -138,7 +138,7 @@ def _row(
         units=units,
         long_name=name.replace("_", " "),
         formula=formula,
-        compute=Formula(compute, given),
+        compute=Formula(compute, arguments),
         fields=tuple(needs),
     )
     return PysammosRow(name, family, field)
@@ -167,15 +167,15 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
     for dims in ("xyz", plane, *axes):
         formula = f"mean of sigma_aa, a in {dims}"
         name = f"pressure_{dims}"
-        given = (_pressure, index[dims])
-        table.append(_row(name, "pressure", ("stress",), formula, *given, like="stress"))
+        arguments = (_pressure, index[dims])
+        table.append(_row(name, "pressure", ("stress",), formula, *arguments, like="stress"))
     temperature = "granular_temperature"
     for dims in ("xyz", *axes):
         formula = f"mean of fluctuation_stress_aa / density, a in {dims}"
         needs = ("fluctuation_stress", "density")
         name = f"{temperature}_{dims}"
-        given = (_temperature, index[dims])
-        table.append(_row(name, temperature, needs, formula, *given, like=temperature))
+        arguments = (_temperature, index[dims])
+        table.append(_row(name, temperature, needs, formula, *arguments, like=temperature))
     table += _numbers_of_rheology(plane, index)
     return {row.name: row for row in table}
 
@@ -192,10 +192,12 @@ def _parts_of_tensors(dims: str, axes: tuple[int, ...]) -> list[PysammosRow]:
             (True, "_dev", f"deviator over {dims}"),
         ):
             name = f"{family}_{dims}{end}"
-            given = (tensor, axes, deviatoric)
-            table.append(_row(name, family, (tensor,), what, _part, *given, rank=2, like=tensor))
+            arguments = (tensor, axes, deviatoric)
+            table.append(
+                _row(name, family, (tensor,), what, _part, *arguments, rank=2, like=tensor)
+            )
             of_part = _row(
-                f"{name}_mag", family, (tensor,), formula, _part, *given, size, like=tensor
+                f"{name}_mag", family, (tensor,), formula, _part, *arguments, size, like=tensor
             )
             table.append(of_part)
     return table
@@ -221,8 +223,10 @@ def _numbers_of_rheology(plane: str, index: Mapping[str, tuple[int, ...]]) -> li
     for (kind, shear, top), dims in product(tops, pressures):
         name = f"frictional_coefficient_{kind}_P{dims}"
         formula = f"{top} / pressure_{dims}, pressure > 0"
-        given = (index[shear], index[dims], kind == "01")
-        table.append(_row(name, "frictional_coefficient", ("stress",), formula, _friction, *given))
+        arguments = (index[shear], index[dims], kind == "01")
+        table.append(
+            _row(name, "frictional_coefficient", ("stress",), formula, _friction, *arguments)
+        )
     return table
 
 
@@ -312,7 +316,7 @@ def translate(scene: Scene, request: Request) -> tuple[Request, Callable[[xr.Dat
     same = {name: row for name, row in chosen.items() if row.fields == (name,)}
     fields: list[Any] = []
     for name, row in chosen.items():
-        fields.append(name if name in same else registry.OwnRow(name, row))
+        fields.append(name if name in same else registry.NamedField(name, row))
     in_xcg = replace(in_xcg, fields=[*fields, "sample_count"])
     return in_xcg, partial(_in_its_names, renamed=same)
 

@@ -49,12 +49,12 @@ class Block(Protocol):
     """Nodes that are computed together: a part of a mesh, or neighbouring points."""
 
     @property
-    def places(self) -> NDArray:
+    def indices(self) -> NDArray:
         """Indices of the nodes among all nodes of the result, unsigned (nodes,)."""
 
     @property
     def order(self) -> NDArray | None:
-        """Order of the nodes by their places, unsigned (nodes,); None where they are in order."""
+        """Order of the nodes by their indices, unsigned (nodes,); None where they are in order."""
 
     @property
     def rings(self) -> Rings | None:
@@ -83,7 +83,7 @@ class MeshBlock:
         return math.prod(high - low for low, high in zip(self.low, self.high, strict=True))
 
     @property
-    def places(self) -> NDArray:
+    def indices(self) -> NDArray:
         """Indices of the nodes among all nodes of the mesh, numbered row by row."""
         x, y, z = (
             np.arange(low, high, dtype="uint64")
@@ -119,7 +119,7 @@ class Nodes:
         Dimensions that the nodes have in results, and their lengths.
     coords : mapping
         Coordinates of results.
-    seen : str
+    active_axes : str
         Axes along which distance to a node counts.
     averaged : str
         Axes that are integrated over and divided by their extent.
@@ -146,7 +146,7 @@ class Nodes:
     dims: tuple[str, ...]
     sizes: tuple[int, ...]
     coords: Mapping[str, xr.Variable]
-    seen: str
+    active_axes: str
     averaged: str
     origin: NDArray
     lower: NDArray
@@ -159,7 +159,7 @@ class Nodes:
 
     def __post_init__(self) -> None:
         self.count = math.prod(self.sizes)
-        self.active = np.array([a in self.seen for a in COMPONENTS])
+        self.active = np.array([a in self.active_axes for a in COMPONENTS])
         length = dict(zip(self.dims, self.sizes, strict=True))
         spacing = 1.0
         if self.parts is not None:  # as if in a row
@@ -176,7 +176,11 @@ class Nodes:
         places = sum(part.count for part in parts)
         if parts and parts[0].rings is None:
             ends = zip(COMPONENTS, self.lower, self.upper, strict=True)
-            spans = [f"{a} from {low:.6g} to {high:.6g}" for a, low, high in ends if a in self.seen]
+            spans = [
+                f"{a} from {low:.6g} to {high:.6g}"
+                for a, low, high in ends
+                if a in self.active_axes
+            ]
             return {"nodes": f"{nodes}, points with {', '.join(spans)}", "fixed": "none"}
         if places > self.count:
             nodes = f"{nodes or 'one'}, averages over {places} places"
