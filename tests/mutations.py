@@ -542,7 +542,8 @@ TABLE = [
         "test_second_moments_of_kernels_and_their_marginals",
     ),
     Mutation(
-        "fields/plan.py", 'if name != "rows"', "if name", "test_plans_leave_their_rows_behind_and_look_them_up_again",
+        "fields/plan.py", 'if name != "definitions"', "if name",
+        "test_plans_leave_their_definitions_behind_and_look_them_up_again",
     ),
     Mutation(
         "fields/plan.py", '"other_phase": self.phases', '"other_phase": len(self.groups)',

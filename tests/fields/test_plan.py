@@ -5,7 +5,7 @@ import pickle
 import xcg
 
 
-def test_plans_leave_their_rows_behind_and_look_them_up_again():
+def test_plans_leave_their_definitions_behind_and_look_them_up_again():
     """Formulas are functions without names, which plain pickle refuses."""
     plan = xcg.datasets.random_scene(50).cg.explain(["velocity", "stress"], axes="z")
     again = pickle.loads(pickle.dumps(plan))

@@ -240,8 +240,11 @@ def requested_options(scene: Scene, request: Request) -> Options:
     """Return the options of the algebra; raise ValueError if one is wrong."""
     setup = scene.setup
     size = request.size
-    for name in ("pressure_dims", "shear_dims"):
-        check_axes(setup.plane, **{name: getattr(request, name) or ""})
+    check_axes(
+        setup.plane,
+        pressure_dims=request.pressure_dims or "",
+        shear_dims=request.shear_dims or "",
+    )
     if size in ("d50", "dmax") and size not in scene.sizes:
         raise ValueError(
             f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
