@@ -446,7 +446,7 @@ TABLE = [
         "test_degrees_of_freedom_left_by_a_fit_equal_brute_force",
     ),
     Mutation(
-        "fields/formulas/rows/flow.py", "rest - rows[k][m][..., None] * known", "rest",
+        "fields/formulas/rows/flow.py", "rest - rows[k][m][..., None] * temperature", "rest",
         "test_the_bulk_is_the_mean_by_mass_and_negative_temperatures_are_nan",
     ),
     Mutation(

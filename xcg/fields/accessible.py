@@ -137,9 +137,9 @@ def _per_fraction(f: xr.Dataset, fraction: xr.DataArray, plan: Plan) -> xr.Datas
             values = values / fraction
         divided[name] = values
     out = average.from_sums(xr.Dataset(divided), f)
-    known = fraction.notnull()
+    finite = fraction.notnull()
     unchanged = {
-        name: f[name].where(known) for name, field in plan.definitions.items() if field.weight
+        name: f[name].where(finite) for name, field in plan.definitions.items() if field.weight
     }
     if "sample_count" in plan.definitions:
         unchanged["sample_count"] = f["sample_count"]

@@ -121,8 +121,8 @@ class ComputedStep:
         texts = []
         for name, (floor, field) in floors_of(self.plan, support).items():
             values = self.fields[name]
-            known = values[np.isfinite(values)]
-            shown = float(np.median(known)) if known.size else np.nan
+            finite = values[np.isfinite(values)]
+            shown = float(np.median(finite)) if finite.size else np.nan
             if field.floor_units == UNIT_OF_RATES:
                 noise = floor * self._fluctuation() / support.diameter
                 is_small = noise <= CONSIDERABLE_FLOOR * shown
@@ -153,9 +153,9 @@ class ComputedStep:
         effects = {}
         for name in names:
             values = self.fields[name]
-            known = np.count_nonzero(np.isfinite(values.reshape(len(values), -1)[:, 0]))
-            if 2 * known < self.reached:
-                effects[name] = f"{name} is NaN at {self.reached - known} of {self.reached} nodes"
+            count = np.count_nonzero(np.isfinite(values.reshape(len(values), -1)[:, 0]))
+            if 2 * count < self.reached:
+                effects[name] = f"{name} is NaN at {self.reached - count} of {self.reached} nodes"
         return effects
 
     def _unknown_in_phases(self) -> dict[str, str]:

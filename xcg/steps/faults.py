@@ -90,8 +90,8 @@ def cause_of(error: Exception) -> str:
 
 def raise_or_record(path: str, error: Exception) -> None:
     """Record the fault of a file, unless one is recorded; raise it if faults are not collected."""
-    known = any(str(source).startswith(path) for source in _recorded.faults or ())
-    if not known and not record_fault(path, error):
+    is_recorded = any(str(source).startswith(path) for source in _recorded.faults or ())
+    if not is_recorded and not record_fault(path, error):
         raise error
 
 

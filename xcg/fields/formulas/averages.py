@@ -249,10 +249,10 @@ def _beside(
     beside = {}
     for name in map(str, mean.data_vars):
         field = definitions.get(name)
-        known = mean[name].variable.notnull()
+        finite = mean[name].variable.notnull()
         units = f[name].attrs.get("units", "1")
         # without coordinates, which are the mean's; an error may be known where the mean is not
-        error = blocks.errors[name].variable.where(known)
+        error = blocks.errors[name].variable.where(finite)
         error.attrs = {"units": units, "long_name": f"standard error of {name}"}
         unsure = None
         if name == "nematic_order" and options.dimension == 3 and count >= MIN_BIAS_BLOCKS:
@@ -265,7 +265,7 @@ def _beside(
         if field and field.is_angle and count >= MIN_BIAS_BLOCKS:
             error = with_unsure_angle(name, mean[name].variable, error, call)
         if field and count >= MIN_BIAS_BLOCKS and has_bias(field, options):
-            bias = blocks.biases[name].variable.where(known)
+            bias = blocks.biases[name].variable.where(finite)
             if unsure is not None:
                 bias = bias.where(~unsure)
             bias.attrs = {"units": units, "long_name": f"bias of {name}: subtract it"}

@@ -113,11 +113,11 @@ class Steadiness:
         return share_of_drifts, _share(grows, growth.notnull())
 
 
-def _share(mask: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
+def _share(mask: xr.DataArray, finite: xr.DataArray) -> xr.DataArray:
     """Return the share of nodes in a mask, of the component and phase with the largest."""
     nodes = [dim for dim in mask.dims if dim not in NOT_NODES]
-    count = known.sum(nodes)
-    return ((mask & known).sum(nodes) / count.where(count > 0, 1)).max()
+    count = finite.sum(nodes)
+    return ((mask & finite).sum(nodes) / count.where(count > 0, 1)).max()
 
 
 def _share_of_repeats(samples: xr.Dataset, dim: str) -> xr.DataArray:
@@ -140,10 +140,10 @@ def _share_of_repeats(samples: xr.Dataset, dim: str) -> xr.DataArray:
 def _effective(weight: xr.DataArray, dim: str) -> tuple[xr.DataArray, xr.DataArray]:
     """Return the share of nodes where few steps have the weight of a mean, and the effective number of steps there."""
     squares = (weight**2).sum(dim)
-    known = squares > 0
-    number = weight.sum(dim) ** 2 / squares.where(known)
+    finite = squares > 0
+    number = weight.sum(dim) ** 2 / squares.where(finite)
     few = number < _FEW
-    return _share(few, known), number.where(few).mean()
+    return _share(few, finite), number.where(few).mean()
 
 
 def _warned(
@@ -285,9 +285,9 @@ def unsure_sign(
 
 def _with_small_middle(tensor: NDArray, error: NDArray) -> NDArray:
     """Return where the middle eigenvalue of a tensor is smaller than an error."""
-    known = np.isfinite(tensor).all(axis=(-2, -1)) & np.isfinite(error)
-    middle = np.linalg.eigvalsh(np.where(known[..., None, None], tensor, 0.0))[..., 1]
-    return known & (np.abs(middle) < error)
+    finite = np.isfinite(tensor).all(axis=(-2, -1)) & np.isfinite(error)
+    middle = np.linalg.eigvalsh(np.where(finite[..., None, None], tensor, 0.0))[..., 1]
+    return finite & (np.abs(middle) < error)
 
 
 def _warned_of_sign(call: Once, errors: NDArray, share: NDArray) -> NDArray:
@@ -314,10 +314,10 @@ def with_noise(
 
     A mean bias that is small beside the field's usual value is silent.
     """
-    known = bias.notnull()
-    count = known.sum().clip(1)
+    finite = bias.notnull()
+    count = finite.sum().clip(1)
     share = (bias > _NOISY * norm).sum() / count
-    mean = norm.where(known).sum() / count
+    mean = norm.where(finite).sum() / count
     left = (norm - bias).sum() / count
     unit = norm.attrs.get("units", "1")
     least = 0.0 if field.floor_units else CONSIDERABLE_FLOOR * field.usual
@@ -345,8 +345,8 @@ def _warned_of_noise(
 
 def with_unsure_angle(name: str, angle: xr.Variable, error: xr.Variable, call: Once) -> xr.Variable:
     """Return the error of an averaged angle, which warns if its mean is more than half of that of the angle."""
-    known = angle.notnull() & error.notnull()
-    means = [values.where(known).sum() / known.sum().clip(1) for values in (angle, error)]
+    finite = angle.notnull() & error.notnull()
+    means = [values.where(finite).sum() / finite.sum().clip(1) for values in (angle, error)]
     warn = partial(_warned_of_angle, call, name)
     told = xr.apply_ufunc(warn, error, *means, dask="parallelized", output_dtypes=[float])
     told.attrs = error.attrs

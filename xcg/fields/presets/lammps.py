@@ -110,22 +110,22 @@ def _choose(
     """
     if fields is None:
         return [name for name, row in ROWS.items() if row.ours in available]
-    known = {name.replace("/", "_"): name for name in (*ROWS, *_NOT_FOLLOWED)}
+    by_word = {name.replace("/", "_"): name for name in (*ROWS, *_NOT_FOLLOWED)}
     if isinstance(fields, (str, Quantity)):
         fields = [fields]
     names = []
     for word in map(str, fields):
-        name = known.get(word.removesuffix("/*").replace("/", "_"))
+        name = by_word.get(word.removesuffix("/*").replace("/", "_"))
         if name in ROWS:
             names.append(name)
             continue
         whole, _, parts = word.replace("/", "_").rpartition("_")
         if name is not None:
             msg = f"{word!r} is not followed by the preset 'lammps': {_NOT_FOLLOWED[name]}"
-        elif known.get(whole) in ROWS and 0 < len(parts) <= 2 and set(parts) <= set(COMPONENTS):
+        elif by_word.get(whole) in ROWS and 0 < len(parts) <= 2 and set(parts) <= set(COMPONENTS):
             labels = zip(("component", "direction"), parts, strict=False)
             part = ", ".join(f"{dim}={a!r}" for dim, a in labels)
-            msg = f"{word!r} is a component: ask for {known[whole]!r} as a whole, and take .sel({part}) of it"
+            msg = f"{word!r} is a component: ask for {by_word[whole]!r} as a whole, and take .sel({part}) of it"
         else:
             msg = f"preset='lammps': {unknown('field', word, ROWS)}"
         raise ValueError(msg)

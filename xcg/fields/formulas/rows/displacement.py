@@ -29,9 +29,9 @@ def _volumetric_strain(f: Any, s: Any, o: Options) -> NDArray:
 
 def _rotation(f: Any, s: Any, o: Options) -> NDArray:
     """Return R of F = R U by singular values, NaN where F is not known or turns the inside out (det F <= 0)."""
-    known = (f.volumetric_strain > -1.0)[..., None, None]
-    left, _, right = np.linalg.svd(np.where(known, f.deformation_gradient, np.eye(3)))
-    return np.where(known, left @ right, np.nan)
+    valid = (f.volumetric_strain > -1.0)[..., None, None]
+    left, _, right = np.linalg.svd(np.where(valid, f.deformation_gradient, np.eye(3)))
+    return np.where(valid, left @ right, np.nan)
 
 
 def _rotation_vector(f: Any, s: Any, o: Options) -> NDArray:
@@ -39,10 +39,10 @@ def _rotation_vector(f: Any, s: Any, o: Options) -> NDArray:
     from scipy.spatial.transform import Rotation
 
     turn = f.rotation.reshape(-1, 3, 3)
-    known = np.isfinite(turn).all(axis=(1, 2))
+    finite = np.isfinite(turn).all(axis=(1, 2))
     vectors = np.full((len(turn), 3), np.nan)
-    if known.any():
-        vectors[known] = Rotation.from_matrix(turn[known]).as_rotvec()
+    if finite.any():
+        vectors[finite] = Rotation.from_matrix(turn[finite]).as_rotvec()
     return vectors.reshape(f.rotation.shape[:-1])
 
 

@@ -266,8 +266,8 @@ def solved(f: Any, residual: NDArray) -> NDArray:
     solution: list[NDArray] = []
     for k in reversed(range(count)):
         rest = values[k]
-        for m, known in enumerate(reversed(solution), start=k + 1):
-            rest = rest - rows[k][m][..., None] * known
+        for m, temperature in enumerate(reversed(solution), start=k + 1):
+            rest = rest - rows[k][m][..., None] * temperature
         solution.append(rest / rows[k][k][..., None])
     solution.reverse()
     weighted = [density[k + 1][..., None] * value for k, value in enumerate(solution)]

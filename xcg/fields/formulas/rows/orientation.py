@@ -35,16 +35,16 @@ def _axes(tensor: NDArray, o: Options) -> tuple[NDArray, NDArray]:
     Of two equal moduli the positive eigenvalue is taken.
     """
     inside = tensor[..., o.plane, :][..., o.plane]
-    known = np.isfinite(inside).all(axis=(-2, -1))
-    values, vectors = np.linalg.eigh(np.where(known[..., None, None], inside, 0.0))
+    finite = np.isfinite(inside).all(axis=(-2, -1))
+    values, vectors = np.linalg.eigh(np.where(finite[..., None, None], inside, 0.0))
     is_planar = -values[..., 0] > (1 + _TIE) * values[..., -1]
-    axis = np.zeros((*known.shape, 3))
+    axis = np.zeros((*finite.shape, 3))
     axis[..., o.plane] = np.where(is_planar[..., None], vectors[..., 0], vectors[..., -1])
     largest = np.argmax(np.abs(axis), axis=-1)[..., None]
     # of both signs the one whose largest part is positive
     axis = axis * np.sign(np.take_along_axis(axis, largest, -1))
     order = np.where(is_planar, values[..., 0], values[..., -1])
-    return np.where(known, order, np.nan), np.where(known[..., None], axis, np.nan)
+    return np.where(finite, order, np.nan), np.where(finite[..., None], axis, np.nan)
 
 
 _ROWS: dict[str, Field] = {

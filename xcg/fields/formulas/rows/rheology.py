@@ -65,9 +65,9 @@ def _principal(tensor: NDArray, axes: Sequence[int]) -> tuple[NDArray, NDArray]:
     """
     inside = tensor[..., axes, :][..., axes]
     inside = (inside + np.swapaxes(inside, -1, -2)) / 2
-    known = np.isfinite(inside).all(axis=(-2, -1))[..., None]
-    values, vectors = np.linalg.eigh(np.where(known[..., None], inside, 0.0))
-    return np.where(known, values, np.nan), vectors
+    finite = np.isfinite(inside).all(axis=(-2, -1))[..., None]
+    values, vectors = np.linalg.eigh(np.where(finite[..., None], inside, 0.0))
+    return np.where(finite, values, np.nan), vectors
 
 
 def _lode_angle(f: Any, s: Any, o: Options) -> NDArray:
