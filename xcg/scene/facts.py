@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -165,10 +165,24 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
         ds = with_present_names(ds)
     if SETUP not in ds.coords:
         return ds
-    setup = ds.coords[SETUP]
+    setup = ds.variables[SETUP]
+    facts = _facts_in(setup.attrs)
+    code = _code_of(facts)
+    values = dict.fromkeys(np.ravel(setup.to_numpy()).tolist())
+    if list(values) != [code]:
+        return _with_unlike_facts(ds, values)
+    _SEEN[code] = facts
+    lost = {name: value for name, value in facts.items() if name not in ds.attrs}
+    if lost:
+        ds = ds.assign_attrs(lost)
+    return ds
+
+
+def _with_unlike_facts(ds: xr.Dataset, values: Iterable[Any]) -> xr.Dataset:
+    """Return `with_facts` of a Dataset whose coordinate has `values` that are not the code of its attributes."""
     parts = {}
-    for value in dict.fromkeys(np.ravel(setup.to_numpy()).tolist()):
-        facts = _facts_in(setup.attrs)
+    for value in values:
+        facts = _facts_in(ds.variables[SETUP].attrs)
         code = value
         if not (isinstance(value, str) and _CODE.fullmatch(value)):
             facts = _facts_in(_json_object(value))
@@ -181,13 +195,9 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
             "take the parts one by one, and join their averages"
         )
     for code, facts in parts.items():
-        if _code_of(facts) != code:
-            _require_code(ds, code, facts)
-            return ds
-        _SEEN[code] = facts
-        lost = {name: value for name, value in facts.items() if name not in ds.attrs}
-        if lost:
-            ds = ds.assign_attrs(lost)
+        if _code_of(facts) == code:  # that of the text of an earlier version
+            return with_facts(ds)
+        _require_code(ds, code, facts)
     return ds
 
 
