@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import chain
 
@@ -132,7 +132,7 @@ def grains(step: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
     images = step.grains
     level = max(moment.level for moment in moments.values())
     table: dict[str, Columns] = {}
-    waiting: list[tuple[Moment, NDArray | None]] = []
+    constants: list[Moment | NDArray] = []
     same: dict[str, float] = {}
     width = 0
     for name, moment in moments.items():
@@ -142,37 +142,24 @@ def grains(step: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
                 factor = step.plan.cutoff_of_group ** CUTOFF_POWERS[name]
             table[name] = (moment.first + moment.columns, factor)
             continue
-        values = None  # what is wide is made when it is written beside the others
+        columns: Moment | NDArray = moment  # what is wide is made when it is written
         if moment.width == 1:
-            values = step.column(moment, images)
-            if _is_constant(values):
-                same[name] = float(values[0, 0])
+            columns = step.column(moment, images)
+            if _is_constant(columns):
+                same[name] = float(columns[0, 0])
                 continue
         table[name] = (level + width + moment.columns, 1.0)
-        waiting.append((moment, values))
+        constants.append(columns)
         width += moment.width
     if same:
         number = MOMENTS["number"]
         for name, value in same.items():
             table[name] = (level + width + number.columns, value)
-        waiting.append((number, None))
+        constants.append(number)
         width += number.width
-
     run = Pass(step.plan.group_count, level + _in_fours(width), table, level)
-    constants = _columns(step, images, waiting)
     _add_points(step, run, images, step.phase[images.row], flow=step.flow, constants=constants)
     return [run]
-
-
-def _columns(
-    step: StepArrays, images: Images, waiting: list[tuple[Moment, NDArray | None]]
-) -> Iterator[NDArray]:
-    """Yield the columns of moments, made or as they are, and let go of each."""
-    while waiting:
-        moment, values = waiting.pop(0)
-        if values is None:
-            values = step.column(moment, images)
-        yield values
 
 
 def _in_fours(width: int) -> int:
@@ -225,7 +212,7 @@ def at_contacts(step: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
     """Prepare the pass over contact points, with columns of constants alone."""
     images, phase, share, contact = step.contact_points
     table: dict[str, Columns] = {}
-    columns = []
+    columns: list[Moment | NDArray] = []
     width = 0
     for name, moment in moments.items():
         columns.append(step.column(moment, images, contact) * share[:, None])
@@ -300,14 +287,16 @@ def _add_points(
     phase: NDArray,
     *,
     flow: tuple[NDArray, NDArray] | None = None,
-    constants: Iterable[NDArray] = (),
+    constants: list[Moment | NDArray] | None = None,
     others: int = 1,
     by_gradient: bool | None = None,
 ) -> None:
     """Add the loops over grains, or other points, with kinematic columns and columns of constants.
 
-    `flow` are velocities and masses, or numbers and weights in their places. With `others`, `phase`
-    is the number of a pair of phases, the first times `others` plus the second.
+    `flow` are velocities and masses, or numbers and weights in their places. `constants` are columns,
+    or moments whose columns are made here; the list is emptied, as memory holds one of them beside
+    what is written. With `others`, `phase` is the number of a pair of phases, the first times
+    `others` plus the second.
     """
     plan = step.plan
     position = images.position
@@ -315,10 +304,13 @@ def _add_points(
     level = run.level
     written = np.zeros((count, run.columns - level))
     first = 0
-    for values in constants:
-        written[:, first : first + values.shape[1]] = values
-        first += values.shape[1]
-        del values  # before the next are made
+    while constants:
+        columns = constants.pop(0)
+        if isinstance(columns, Moment):
+            columns = step.column(columns, images)
+        written[:, first : first + columns.shape[1]] = columns
+        first += columns.shape[1]
+        del columns  # before the next are made
     velocity, mass = flow or (np.zeros((count, 3)), np.zeros(count))
     of_squares = [column for column in loops.SQUARES if column < level]
     has_squares = any(np.isin(columns, of_squares).any() for columns, _ in run.moments.values())
