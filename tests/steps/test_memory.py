@@ -13,7 +13,7 @@ import xcg
 from tests.benchmarks import series
 from xcg.fields import segments
 from xcg.scene.complete import complete_particles
-from xcg.scene.frame import rows_of, stack
+from xcg.scene.frame import indices_of, stack
 from xcg.scene.schema import Setup
 
 FEW, MANY = 4, 32
@@ -154,8 +154,8 @@ def test_steps_of_many_contacts_do_not_keep_their_segments(packing, monkeypatch)
 def test_sorted_arrays_are_not_copied():
     ids = np.arange(5)
     wanted = np.array([3, 0, 4])
-    assert rows_of(ids, wanted) is wanted
-    assert rows_of(ids, np.array([3, -2, 5])).tolist() == [3, -1, -1]
+    assert indices_of(ids, wanted) is wanted
+    assert indices_of(ids, np.array([3, -2, 5])).tolist() == [3, -1, -1]
     frame = {"particle_id": ids, "position": np.zeros((5, 3))}
     one = stack([frame], list(frame), 5)
     padded = stack([frame], list(frame), 6)

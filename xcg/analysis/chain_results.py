@@ -26,7 +26,7 @@ from xcg.common.messages import SceneError
 from xcg.scene.conform import conform, with_components
 from xcg.scene.contacts import Contacts
 from xcg.scene.facts import require_facts
-from xcg.scene.frame import frame_at, particle_rows, rows_of, step_at, with_time
+from xcg.scene.frame import frame_at, indices_of, particle_rows, step_at, with_time
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
 from xcg.scene.schema import BOX, COMPONENTS, CONTACT_VARIABLES, PADDING, VARIABLES, Frame, Variable
@@ -173,8 +173,8 @@ class ChainStep:
         """Contact rows of the links, and the rows of the two particles of each."""
         contact = np.flatnonzero(self.arrays["link_chain"] >= 0)
         ids = self.arrays["particle_id"]
-        i = rows_of(ids, self.arrays["contact_i"][contact])
-        j = rows_of(ids, self.arrays["contact_j"][contact])
+        i = indices_of(ids, self.arrays["contact_i"][contact])
+        j = indices_of(ids, self.arrays["contact_j"][contact])
         return contact, i, j
 
 

@@ -18,7 +18,7 @@ from xcg.analysis.voronoi import voronoi
 from xcg.common.messages import unknown
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
 from xcg.scene.schema import CONTACT_VARIABLES, VARIABLES, Frame, Variable
@@ -155,7 +155,9 @@ class _MeanAge(FrameAnalysis):
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
         """Average the ages over the contacts of each particle, from both sides."""
         ids = frame["particle_id"]
-        index = np.concatenate([rows_of(ids, frame[side]) for side in ("contact_i", "contact_j")])
+        index = np.concatenate(
+            [indices_of(ids, frame[side]) for side in ("contact_i", "contact_j")]
+        )
         age = np.tile(frame["contact_age"], 2)[index >= 0]
         index = index[index >= 0]
         count = np.bincount(index, minlength=len(ids))

@@ -15,7 +15,7 @@ from xcg.common.messages import SceneError
 from xcg.scene.box import BoxMotion
 from xcg.scene.complete import superquadric_integrals
 from xcg.scene.conform import takes_scene
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, MOTION, VARIABLES, Variable, units_in
 from xcg.scene.times import require_times
@@ -256,7 +256,7 @@ class _Velocity(FrameAnalysis):
             if other is None:  # before the first step, or after the last
                 continue
             other_frame, other_lattice, _ = other
-            index = rows_of(other_frame["particle_id"], frame["particle_id"])
+            index = indices_of(other_frame["particle_id"], frame["particle_id"])
             stays = np.flatnonzero(index >= 0)
             motion = BoxMotion.between(lattice, other_lattice)
             moved = motion.relative(frame, other_frame, stays, index[stays])

@@ -17,7 +17,7 @@ from xcg.common.messages import plain
 from xcg.fields.formulas.block_errors import block_errors
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import takes_scene
-from xcg.scene.frame import phase_of, rows_of, steps_in, without_frozen
+from xcg.scene.frame import indices_of, phase_of, steps_in, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, MOTION, OF_STEP, Frame, units_in
@@ -251,7 +251,7 @@ def velocity_autocorrelation(
             if lag > t:
                 continue
             old_ids, old_velocity = recent[-1 - lag]
-            indices = rows_of(ids, old_ids)
+            indices = indices_of(ids, old_ids)
             stay = indices >= 0
             products = (old_velocity[stay] * velocity[indices[stay]]).sum()
             sums[t - lag, k] = products, (old_velocity[stay] ** 2).sum(), stay.sum()
@@ -403,7 +403,7 @@ def _sums(
             if lag > t:
                 continue
             then = recent[-1 - lag]
-            indices = rows_of(now.ids, then.ids)
+            indices = indices_of(now.ids, then.ids)
             stay = indices >= 0
             stay[stay] = now.first_step[indices[stay]] <= t - lag
             moved = now.displacement[indices[stay]] - then.displacement[stay]

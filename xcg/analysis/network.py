@@ -196,7 +196,7 @@ def _edges(frame: Frame, contacts: Contacts, *, walls: bool = False) -> Frame:
     count = len(contacts.position)
     # of the partner, where only one grain is there
     key = np.where(contacts.i < 0, contacts.key_i, contacts.key_j)
-    at_wall = walls & (key < 0) & (contacts.first_row >= 0)
+    at_wall = walls & (key < 0) & (contacts.first_index >= 0)
     numbers, wall = np.unique(key[at_wall], return_inverse=True)
     ends = np.stack([contacts.i, contacts.j])
     ends[:, at_wall] = np.where(ends[:, at_wall] < 0, count + wall, ends[:, at_wall])

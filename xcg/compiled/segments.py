@@ -65,7 +65,7 @@ def choose_order(length, limits):
     return 0
 
 
-class ContactRows(NamedTuple):
+class IndexedContacts(NamedTuple):
     """Contacts by the indices of their particles.
 
     Attributes
@@ -117,7 +117,7 @@ class SegmentChoice(NamedTuple):
         Of the starts.
     """
 
-    contacts: ContactRows
+    contacts: IndexedContacts
     second: bool
     others: int
     cutoffs: NDArray

@@ -271,10 +271,10 @@ class StepArrays:
         the bulk.
         """
         c = self.contacts
-        first = np.flatnonzero(c.first_row >= 0)
+        first = np.flatnonzero(c.first_index >= 0)
         mixed = (c.i >= 0) & (c.j >= 0) & (self.phase[c.i] != self.phase[c.j])
         contact = np.concatenate([first, np.flatnonzero(mixed)])
-        phase = np.concatenate([self.phase[c.first_row[first]], self.phase[c.j[mixed]]])
+        phase = np.concatenate([self.phase[c.first_index[first]], self.phase[c.j[mixed]]])
         images = self.images(c.point[contact])
         share = np.where(mixed[contact], 0.5, 1.0)
         return images, phase[images.row], share[images.row], contact[images.row]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from xcg.fields.plan import Plan
 from xcg.scene.contacts import Contacts
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame
 
@@ -89,8 +89,8 @@ def _sampled_contacts(frame: Frame, lattice: Lattice) -> tuple[Contacts, int]:
     if "contact_normal" in frame:
         normal = frame["contact_normal"][::rows]
     # without the checks of `Contacts.of`, which the sums have made
-    i = rows_of(frame["particle_id"], key_i)
-    j = rows_of(frame["particle_id"], key_j)
+    i = indices_of(frame["particle_id"], key_i)
+    j = indices_of(frame["particle_id"], key_j)
     return Contacts(i, j, force, point, frame["position"], lattice, key_i, key_j, normal), rows
 
 

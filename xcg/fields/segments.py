@@ -18,7 +18,7 @@ from xcg.compiled.segments import (
     GROUP,
     RUN,
     SEGMENT,
-    ContactRows,
+    IndexedContacts,
     SegmentChoice,
     Segments,
     bounds_of_segments,
@@ -64,9 +64,9 @@ class ListedAnew:
         runs = np.flatnonzero(reaches)
         for first in range(0, len(runs), _TOGETHER):
             some = runs[first : first + _TOGETHER]
-            places = (RUN * some[:, None] + np.arange(RUN)).ravel()
+            indices = (RUN * some[:, None] + np.arange(RUN)).ravel()
             # the last run may be shorter
-            contacts = self.contacts[places[places < len(self.contacts)]]
+            contacts = self.contacts[indices[indices < len(self.contacts)]]
             records, _, _ = list_some(self.listing, contacts)
             yield Segments(records, self.limits, self.bounds[some])
 
@@ -148,10 +148,10 @@ def _segments(
     smoothing = step.smoothings[cutoff]
     tilted = step.lattice.vectors is not None
     limits = step.plan.limits
-    rows = ContactRows(
+    indexed = IndexedContacts(
         c.i, c.j, c.point, on_i, on_j, step.position, step.phase, *c.lattice.for_loops
     )
-    listing = SegmentChoice(rows, second, others, step.plan.cutoff_of_group, cutoff, step.origin)
+    listing = SegmentChoice(indexed, second, others, step.plan.cutoff_of_group, cutoff, step.origin)
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
         bounds = no_bounds(len(contacts), RUN)
         longest = np.empty(4)
@@ -176,8 +176,8 @@ def _segments(
                 continue
             moved = step.frame | {"velocity": step.frame["velocity"] + drift}
             on_i, on_j = _carried(step, moment, moved)
-            moved_rows = rows._replace(on_i=on_i, on_j=on_j)
-            moving, _, _ = list_some(listing._replace(contacts=moved_rows), contacts[here])
+            moved_contacts = indexed._replace(on_i=on_i, on_j=on_j)
+            moving, _, _ = list_some(listing._replace(contacts=moved_contacts), contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
     if smoothing.too_long(longest[:3]):
         partner = np.where(c.i >= 0, c.j, c.i)

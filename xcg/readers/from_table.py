@@ -27,7 +27,7 @@ from xcg.readers.order import cause_by_column, warn_if_none_recurs
 from xcg.readers.report import check_plane, list_not_read, report_missing_ids, warn_of_columns
 from xcg.scene.box import domain_of
 from xcg.scene.conform import ROW_NUMBERS
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.from_arrays import scene_from_arrays
 from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.schema import Frame, Setup, periodic_axes
@@ -265,8 +265,8 @@ def _with_vectors(
             )
         order = np.argsort(ids)
         sorted_ids = ids[order].astype(int)
-        i = order[rows_of(sorted_ids, ids_i[indices].astype(int))]
-        j = order[rows_of(sorted_ids, ids_j[indices].astype(int))]
+        i = order[indices_of(sorted_ids, ids_i[indices].astype(int))]
+        j = order[indices_of(sorted_ids, ids_j[indices].astype(int))]
         apart[indices] = lattices[key].shortest(position[i] - position[j])
     x, y, z = unit_vectors(apart).T
     along = _numbers(table, normal, "contacts")

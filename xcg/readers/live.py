@@ -20,7 +20,7 @@ from xcg.readers.paths import units_of_system
 from xcg.readers.wall_columns import WALL_ARRAY, WALL_CONTACTS
 from xcg.scene.contact_points import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.from_arrays import scene_from_arrays
 from xcg.scene.schema import COMPONENTS
 
@@ -228,7 +228,7 @@ def _pairs(
     # a partner may be on another process: the point follows from the sizes of both
     every = {name: _gathered(lmp, atoms[name]) for name in ("particle_id", "position", "diameter")}
     order = np.argsort(every["particle_id"])
-    index_i, index_j = (order[rows_of(every["particle_id"][order], ids)] for ids in (i, j))
+    index_i, index_j = (order[indices_of(every["particle_id"][order], ids)] for ids in (i, j))
     radius = every["diameter"] / 2
     point = contact_points(every["position"][index_i], branch, radius[index_i], radius[index_j])
     return dict(zip(WALL_CONTACTS, (i, j, force, point), strict=True))

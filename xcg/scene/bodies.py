@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.scene.conform import in_whole_rows, takes_scene
 from xcg.scene.facts import SETUP
-from xcg.scene.frame import rows_of, steps_in
+from xcg.scene.frame import indices_of, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.measure import measure
 from xcg.scene.scene import Scene
@@ -129,7 +129,7 @@ def _over_time(
         bodies, body_of_sphere = _bodies(frame, lattice, f"group_bodies, {source}")
         if "contact_i" in frame:
             for side in ("contact_i", "contact_j"):
-                index = rows_of(frame["particle_id"], frame[side])
+                index = indices_of(frame["particle_id"], frame[side])
                 body = np.where(frame[side] < 0, frame[side], _MISSING)
                 is_particle = index >= 0
                 body[is_particle] = body_of_sphere[index[is_particle]]

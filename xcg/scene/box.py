@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, warn_once, warn_user
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.lattice import Lattice, same_vectors
 from xcg.scene.schema import COMPONENTS, Frame
 
@@ -325,7 +325,7 @@ def partners(first: Frame, later: Frame, sources: tuple[str, str]) -> NDArray:
     SceneError
         If the first frame holds grains, and the later one none of them.
     """
-    indices = rows_of(later["particle_id"], first["particle_id"])
+    indices = indices_of(later["particle_id"], first["particle_id"])
     if len(indices) and (indices < 0).all():
         raise SceneError(
             f"{sources[0]} and {sources[1]} have no particle id in common: grains are followed by ids that stay the "

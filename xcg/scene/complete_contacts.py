@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.messages import SceneError
 from xcg.scene.contact_points import REPEAT, touching_points_of
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.gaps import are_single_spheres, warn_of_gaps
 from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.normals import checked_normals
@@ -132,7 +132,7 @@ def _partners(
         If a particle touches itself, i is a wall, or an id is unknown, unless that is allowed.
     """
     i, j = typed["contact_i"], typed["contact_j"]
-    index_i, index_j = rows_of(ids, i), rows_of(ids, j)
+    index_i, index_j = indices_of(ids, i), indices_of(ids, j)
     self_contact = np.flatnonzero(i == j)
     if self_contact.size:
         index = self_contact[0]

@@ -18,7 +18,7 @@ from xcg.compiled._jit import for_parts
 from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
 from xcg.scene.conform import takes_scene
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.repeats import repeated_pairs
 from xcg.scene.sanity_contacts import check_contacts
@@ -82,7 +82,7 @@ class Contacts:
         key_i = frame["contact_i"]
         key_j = frame["contact_j"]
         point = frame["contact_point"]
-        index_i, index_j = rows_of(ids, key_i), rows_of(ids, key_j)
+        index_i, index_j = indices_of(ids, key_i), indices_of(ids, key_j)
         check_contacts(frame, index_i, index_j, lattice, source)
         normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
@@ -112,7 +112,7 @@ class Contacts:
         return out
 
     @property
-    def first_row(self) -> NDArray:
+    def first_index(self) -> NDArray:
         """The first particle of each contact that is there; negative where none is; (n,)."""
         return np.where(self.i >= 0, self.i, self.j)
 
@@ -193,7 +193,7 @@ class Contacts:
     @property
     def strong(self) -> NDArray:
         """Return whether each contact pushes more than the mean of all contacts that push; (n,)."""
-        push = (self.normal_force > 0) & (self.first_row >= 0)
+        push = (self.normal_force > 0) & (self.first_index >= 0)
         if not push.any():
             return push
         # a hair more, so that of equal forces none is strong by rounding
@@ -248,7 +248,7 @@ class Contacts:
     def between_load_bearing(self) -> NDArray:
         """Return whether all particles of each contact that are there may bear load; (n,)."""
         load_bearing = np.append(self.load_bearing, True)  # index -1 is that of a wall
-        return load_bearing[self.i] & load_bearing[self.j] & (self.first_row >= 0)
+        return load_bearing[self.i] & load_bearing[self.j] & (self.first_index >= 0)
 
     def k_core(self, least: int) -> NDArray:
         """Return whether each particle keeps `least` partners when all that have fewer are taken out, again and again.
@@ -309,7 +309,7 @@ class Contacts:
         # index -1 is that of no particle
         rank = np.full(keys, len(order), short_integers(max(keys, len(self.i))))
         rank[order] = np.arange(len(order), dtype=rank.dtype)
-        return counting_sort(rank[self.first_row], keys)
+        return counting_sort(rank[self.first_index], keys)
 
 
 # --- walls -----------------------------------------------------------------------------------------------

@@ -119,7 +119,7 @@ def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
     return indices
 
 
-def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
+def indices_of(ids: NDArray, wanted: NDArray) -> NDArray:
     """Return the index of each wanted id among sorted ids (n,), -1 where it is not there.
 
     This is `wanted` itself where ids are 0, 1, 2, ...

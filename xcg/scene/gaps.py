@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.schema import Frame
 from xcg.scene.spheres import Pairs, SphereContacts
 
@@ -121,7 +121,7 @@ def _closed_by(contacts: SphereContacts, shift: int) -> bool:
     ends = []
     for name in ("contact_i", "contact_j"):
         numbers = contacts.contacts[name][indices]
-        ends.append(np.where(numbers < 0, -1, rows_of(ids, numbers + shift)))
+        ends.append(np.where(numbers < 0, -1, indices_of(ids, numbers + shift)))
     index_i, index_j = ends
     exist = (index_i >= 0) & (index_j >= 0)
     if exist.sum() < 2 or exist.mean() < _CLOSED:

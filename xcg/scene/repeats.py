@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_once
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.schema import Frame, Sides
 
@@ -145,8 +145,8 @@ class _Repeats:
         size = np.linalg.norm(contacts["contact_force"][indices], axis=1)
         order = np.lexsort((size, pair))
         indices = indices[order]
-        particle = rows_of(particles["particle_id"], contacts["contact_i"][indices])
-        partner = rows_of(particles["particle_id"], contacts["contact_j"][indices])
+        particle = indices_of(particles["particle_id"], contacts["contact_i"][indices])
+        partner = indices_of(particles["particle_id"], contacts["contact_j"][indices])
         particle = np.where(particle >= 0, particle, partner)
         point = contacts["contact_point"][indices]
         centre = point.copy()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from xcg.common.messages import warn_user
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity_lengths import OF_LENGTHS
 from xcg.scene.sanity_masses import OF_ARGUMENTS, OF_MASSES
@@ -64,7 +64,7 @@ def check_motion(first: Frame, second: Frame, lapse: float, lattice: Lattice) ->
     if not {"velocity", "particle_id"} <= set(first) & set(second):
         return
     some = sample_of(len(first["position"]))
-    indices = rows_of(second["particle_id"], first["particle_id"][some])
+    indices = indices_of(second["particle_id"], first["particle_id"][some])
     before = {name: values[some][indices >= 0] for name, values in first.items()}
     after = {name: values[indices[indices >= 0]] for name, values in second.items()}
     if len(after["position"]) < FEW:

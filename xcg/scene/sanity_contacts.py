@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
-from xcg.scene.frame import rows_of
+from xcg.scene.frame import indices_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity_sample import FEW, sample_of
 from xcg.scene.schema import Frame
@@ -97,7 +97,7 @@ def is_central(contacts: Frame, particles: Frame, lattice: Lattice) -> bool:
     """Return whether all forces between particles lie along the line of their centres; False for few contacts."""
     some = sample_of(len(contacts["contact_i"]))
     i, j = (
-        rows_of(particles["particle_id"], contacts[name][some])
+        indices_of(particles["particle_id"], contacts[name][some])
         for name in ("contact_i", "contact_j")
     )
     pairs = (i >= 0) & (j >= 0)
@@ -125,7 +125,7 @@ def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> N
     """
     some = sample_of(len(raw["contact_i"]))
     index_i, index_j = (
-        rows_of(particles["particle_id"], np.asarray(raw[name][some], "int64"))
+        indices_of(particles["particle_id"], np.asarray(raw[name][some], "int64"))
         for name in ("contact_i", "contact_j")
     )
     pairs = np.flatnonzero((index_i >= 0) & (index_j >= 0))

@@ -19,9 +19,9 @@ from xcg.scene.schema import COMPONENTS, MOTION, VECTORS, known_without_reading,
 
 CYLINDRICAL = "cylindrical"
 _PARALLEL = 1e-6  # sine of the smallest angle between two axes that are given
-_NO_PLACE = (0.0, 0.0, 0.0)
+_AT_ORIGIN = (0.0, 0.0, 0.0)
 _FAR_AXIS = 10.0  # extents of the particles from their middle, beyond which no axis of theirs is
-_PLACES = ("position", "contact_point")
+_POSITIONS = ("position", "contact_point")
 _LATTICE = ("lattice", "lattice_velocity")
 _SAME = 1e-12  # rounding of directions
 
@@ -87,7 +87,7 @@ class Rotated:
     x: Sequence[float] | None = None
     y: Sequence[float] | None = None
     z: Sequence[float] | None = None
-    origin: Sequence[float] = _NO_PLACE
+    origin: Sequence[float] = _AT_ORIGIN
 
     def __post_init__(self) -> None:
         chosen = self._chosen
@@ -166,7 +166,7 @@ class Rotated:
     def axes(self) -> NDArray:
         """The axes x, y, z in the scene's coordinates, a row each (3, 3)."""
         first, *others = self._chosen
-        axes = {first: unit(self._given(first))}
+        axes = {first: unit(self._direction(first))}
         for a in others or [a for a in "zxy" if a != first]:
             second = self._second(first, a)
             if second is not None:
@@ -181,7 +181,7 @@ class Rotated:
         """Axes that are given, the one that is kept first."""
         return [a for a in "zxy" if getattr(self, a) is not None]
 
-    def _given(self, axis: str) -> NDArray:
+    def _direction(self, axis: str) -> NDArray:
         """Direction of an axis: given, or the scene's own."""
         value = getattr(self, axis)
         if value is None:
@@ -190,8 +190,8 @@ class Rotated:
 
     def _second(self, first: str, second: str) -> NDArray | None:
         """Part of an axis at a right angle to the first; None where they are parallel."""
-        kept = unit(self._given(first))
-        other = unit(self._given(second))
+        kept = unit(self._direction(first))
+        other = unit(self._direction(second))
         part = other - (other @ kept) * kept
         if np.linalg.norm(part) <= _PARALLEL:
             return None
@@ -242,7 +242,7 @@ class Cylindrical:
     """
 
     axis: str | Sequence[float] = "z"
-    origin: Sequence[float] = _NO_PLACE
+    origin: Sequence[float] = _AT_ORIGIN
     x: Sequence[float] | None = None
     error: float = 1e-3
 
@@ -335,7 +335,7 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
         if not dims or name in ("box", *MOTION):
             continue
         turn: Any = partial(turned, axes=axes, origin=np.zeros(3))
-        if name in _PLACES:
+        if name in _POSITIONS:
             turn = partial(turned, axes=axes, origin=origin)
         elif len(dims) == 2:
             turn = partial(_tensors, axes=axes)
@@ -398,11 +398,11 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         return ds
     own = [axis_of(row) for row in axes]
     others = [k for k in range(3) if k not in own]
-    rows = []  # which of its axes stands in the place of each new one
+    old_axes = []  # which of its axes becomes each new one
     for k in own:
         if k is None:
             k = others.pop(0)
-        rows.append(k)
+        old_axes.append(k)
     periodic = str(ds.attrs.get("periodic", ""))
     loose = [k for k in range(3) if k not in own and COMPONENTS[k] in periodic]
     edges = partial(_edges, own=own, axes=axes, origin=origin)
@@ -411,24 +411,24 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         box = edges(np.stack([attrs["box_lower"], attrs["box_upper"]], axis=-1))
         attrs |= {"box_lower": box[:, 0], "box_upper": box[:, 1]}
     attrs["periodic"] = "".join(
-        a for a, k in zip(COMPONENTS, rows, strict=True) if COMPONENTS[k] in periodic
+        a for a, k in zip(COMPONENTS, old_axes, strict=True) if COMPONENTS[k] in periodic
     )
     turned_box = {}
     turned_box["box"] = _mapped(edges, ds["box"], ["component", "bound"]).transpose(*ds["box"].dims)
     if "lattice" in ds:
         for name in _LATTICE:
             if name in ds:
-                vectors = ds[name].isel(vector=rows)
+                vectors = ds[name].isel(vector=old_axes)
                 turned_box[name] = vectors.assign_coords(vector=list(VECTORS))
     elif loose:
         repeats = np.array([a in periodic for a in COMPONENTS])
-        lattice_of = partial(_lattice_of, axes=axes, rows=rows, repeats=repeats)
+        lattice_of = partial(_lattice_of, axes=axes, old_axes=old_axes, repeats=repeats)
         vectors = _mapped(lattice_of, ds["box"], ["component", "bound"], ["vector", "component"])
         turned_box["lattice"] = vectors.assign_coords(vector=list(VECTORS))
     if "image" in ds:
-        images = ds["image"].isel(component=rows).assign_coords(component=ds["component"])
+        images = ds["image"].isel(component=old_axes).assign_coords(component=ds["component"])
         if "lattice" not in ds and "lattice" not in turned_box:  # periods lead along the new axes
-            ahead = np.sign(axes[range(3), rows]).astype("int64")
+            ahead = np.sign(axes[range(3), old_axes]).astype("int64")
             images = images * xr.DataArray(ahead, dims="component")
         turned_box["image"] = images
     return ds.assign(turned_box).drop_attrs(deep=False).assign_attrs(attrs)
@@ -445,7 +445,7 @@ def _edges(box: NDArray, own: Sequence[int | None], axes: NDArray, origin: NDArr
     return out
 
 
-def _lattice_of(box: NDArray, axes: NDArray, rows: Sequence[int], repeats: NDArray) -> NDArray:
+def _lattice_of(box: NDArray, axes: NDArray, old_axes: Sequence[int], repeats: NDArray) -> NDArray:
     """Vectors a, b, c (..., 3, 3) to the next images in new axes, zero without images."""
     lengths = np.where(repeats, box[..., 1] - box[..., 0], 0.0)
-    return (lengths[..., None] * axes.T)[..., list(rows), :]
+    return (lengths[..., None] * axes.T)[..., list(old_axes), :]

@@ -64,28 +64,28 @@ def open_ends(
 
     Returns
     -------
-    place : array (n, k)
+    distance : array (n, k)
         Distances from the start (m), at most `reach`, in ascending order.
     change : array (n, k)
         1 where an accessible part begins, -1 where one ends, and 0 elsewhere.
     """
-    places = [np.zeros((len(starts), 1))]
+    distances = [np.zeros((len(starts), 1))]
     jumps = [np.zeros((len(starts), 1), int)]  # of the number of walls that the ray is behind
     behind = np.zeros((len(starts), 1), int)
     for wall in walls:
         is_open, crossings = wall.crossings_along(starts, axis, reach)
         crossings = np.minimum(np.sort(crossings, axis=1), reach)
         closes = is_open[:, None] ^ (np.arange(crossings.shape[1]) % 2 == 1)
-        places.append(crossings)
+        distances.append(crossings)
         jumps.append(np.where(closes, 1, -1))
         behind += ~is_open[:, None]
-    place = np.concatenate(places, axis=1)
-    order = np.argsort(place, axis=1, kind="stable")
-    place = np.take_along_axis(place, order, axis=1)
+    distance = np.concatenate(distances, axis=1)
+    order = np.argsort(distance, axis=1, kind="stable")
+    distance = np.take_along_axis(distance, order, axis=1)
     jump = np.take_along_axis(np.concatenate(jumps, axis=1), order, axis=1)
     is_open = behind + np.cumsum(jump, axis=1) == 0
     change = np.diff(is_open.astype(int), axis=1, prepend=0)
-    return place, change
+    return distance, change
 
 
 def _lattice(ranges: Sequence[tuple[int, float, float]], count: int) -> Iterator[NDArray]:
@@ -109,8 +109,8 @@ class _SeenCells:
 
     Attributes
     ----------
-    rows : array (n,)
-        Rows of the nodes.
+    indices : array (n,)
+        Indices of the nodes.
     origin : array (seen,)
         Lowest corner of the first cell (m).
     shape : tuple of int
@@ -119,18 +119,18 @@ class _SeenCells:
         Edge of the cells (m).
     """
 
-    rows: NDArray
+    indices: NDArray
     origin: NDArray
     shape: tuple[int, ...]
     size: float
 
     @classmethod
-    def around(cls, rows: NDArray, places: NDArray, cutoff: float) -> _SeenCells:
-        """Lay cells as far as a cutoff and two cells around places (n, seen)."""
-        size = cutoff / _CELLS[places.shape[1]]
-        origin = places.min(axis=0) - cutoff - 2 * size
-        count = np.ceil((places.max(axis=0) + cutoff - origin) / size) + 2
-        return cls(rows, origin, tuple(count.astype(int).tolist()), size)
+    def around(cls, indices: NDArray, coordinates: NDArray, cutoff: float) -> _SeenCells:
+        """Lay cells as far as a cutoff and two cells around coordinates (n, seen)."""
+        size = cutoff / _CELLS[coordinates.shape[1]]
+        origin = coordinates.min(axis=0) - cutoff - 2 * size
+        count = np.ceil((coordinates.max(axis=0) + cutoff - origin) / size) + 2
+        return cls(indices, origin, tuple(count.astype(int).tolist()), size)
 
     def bounds(self, k: int) -> tuple[float, float]:
         """Return the lowest and the highest coordinate along one of the axes (m)."""
@@ -177,18 +177,18 @@ class AveragedFraction:
     @cached_property
     def _slabs(self) -> list[_SeenCells]:
         """Cells around nodes, divided across the first axis, so that their number is limited."""
-        places = self.nodes[:, list(self.seen)]
+        coordinates = self.nodes[:, list(self.seen)]
         cutoff = self.kernel.cutoff
-        if not self.seen or not len(places):
+        if not self.seen or not len(coordinates):
             return []
         a_cutoff = _CELLS[len(self.seen)]
         layer = 1.0  # cells of a layer across the first axis
         for k in range(1, len(self.seen)):
-            layer *= (np.ptp(places[:, k]) / cutoff + 3.0) * a_cutoff
+            layer *= (np.ptp(coordinates[:, k]) / cutoff + 3.0) * a_cutoff
         width = max(1.0, _MOST_CELLS / layer / a_cutoff) * cutoff
-        slab = (places[:, 0] - places[:, 0].min()) // width
+        slab = (coordinates[:, 0] - coordinates[:, 0].min()) // width
         members = [np.flatnonzero(slab == number) for number in np.unique(slab)]
-        return [_SeenCells.around(rows, places[rows], cutoff) for rows in members]
+        return [_SeenCells.around(indices, coordinates[indices], cutoff) for indices in members]
 
     @property
     def ray_count(self) -> int:
@@ -253,8 +253,10 @@ class AveragedFraction:
         for cells in self._slabs:
             open_shares = self._open_shares(cells, advance)
             first_centre = cells.origin + 0.5 * cells.size
-            places = self.nodes[cells.rows][:, list(self.seen)] - first_centre
-            out[cells.rows] = share * self.kernel.mean_of_cells(open_shares, places, cells.size)
+            coordinates = self.nodes[cells.indices][:, list(self.seen)] - first_centre
+            out[cells.indices] = share * self.kernel.mean_of_cells(
+                open_shares, coordinates, cells.size
+            )
         return out
 
     def _open_share(self, advance: Callable[[int], object]) -> float:
@@ -263,8 +265,8 @@ class AveragedFraction:
         length = 0.0
         for rays in _lattice(self._ranges(None), RAYS):
             rays[:, self.along] = low
-            place, change = open_ends(rays, self.walls, self.along, high - low)
-            length += float((change * (high - low - place)).sum())
+            distance, change = open_ends(rays, self.walls, self.along, high - low)
+            length += float((change * (high - low - distance)).sum())
             advance(len(rays))
         return length / (RAYS * (high - low))
 
@@ -281,10 +283,10 @@ class AveragedFraction:
         first = 0
         for rays in _lattice(self._ranges(cells), cells.rays):
             rays[:, self.along] = low
-            place, change = open_ends(rays, self.walls, self.along, high - low)
+            distance, change = open_ends(rays, self.walls, self.along, high - low)
             ray, end = np.nonzero(change)
             column = (first + ray) // rays_a_column
-            cell, beyond = np.divmod(place[ray, end] / cells.size, 1.0)
+            cell, beyond = np.divmod(distance[ray, end] / cells.size, 1.0)
             cell = cell.astype(int)
             rise = change[ray, end] / rays_a_column
             np.add.at(rises, (column, cell), rise * (1.0 - beyond))

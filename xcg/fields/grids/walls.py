@@ -568,9 +568,9 @@ class Surface(Wall):
         loops.line_crossings(
             lines, corners, facing, count, np.empty((len(starts), 0)), is_open_below
         )
-        place = np.full((len(starts), max(1, int(count.max()))), np.inf)
+        crossings = np.full((len(starts), max(1, int(count.max()))), np.inf)
         count[:] = 0
-        loops.line_crossings(lines, corners, facing, count, place, is_open_below)
+        loops.line_crossings(lines, corners, facing, count, crossings, is_open_below)
         missed = np.flatnonzero(count == 0)
         if self._encloses:
             heights = self.centre[:, axis] - self.centre[0, axis]
@@ -582,7 +582,7 @@ class Surface(Wall):
             points[:, axis] = np.mean(self.span(axis))
             is_open_below[missed] = self.distance(points) > 0
         inverse = np.argsort(order)
-        distance = place[inverse] - starts[:, axis, None]
+        distance = crossings[inverse] - starts[:, axis, None]
         before = (distance <= 0).sum(axis=1)
         is_open = is_open_below[inverse] ^ (before % 2 == 1)
         return is_open, np.where(distance > 0, distance, np.inf)

@@ -25,7 +25,7 @@ Shells = list[tuple[float, Polynomial]]  # radii, and polynomials of q
 _Q = Polynomial([0.0, 1.0])
 
 _INTERVALS = 64
-_PLACES = np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False)  # where profiles are looked at
+_TESTED = np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False)  # where profiles are looked at
 _MOST_ERROR = 1e-10  # of values at points, relative to the largest
 # of quadratures along chords; and parts of these that tell it
 _MOST_LINE_ERROR = 1e-7
@@ -58,7 +58,7 @@ def _values(profile: Profile, q: NDArray) -> NDArray:
 @lru_cache
 def _largest(profile: Profile) -> float:
     """Largest absolute value of a profile."""
-    return float(np.abs(_values(profile, _PLACES)).max())
+    return float(np.abs(_values(profile, _TESTED)).max())
 
 
 def _integral(function: Callable[[float], float], begin: float, end: float) -> float:
@@ -86,9 +86,9 @@ def check_table(name: str, profile: Profile) -> None:
 
     Values are looked at in places between the nodes of the table.
     """
-    exact = _values(profile, _PLACES)
+    exact = _values(profile, _TESTED)
     if not np.isfinite(exact).all():
-        wrong = _PLACES[~np.isfinite(exact)][0]
+        wrong = _TESTED[~np.isfinite(exact)][0]
         raise ValueError(
             f"the profile of kernel {name!r} must be finite on [0, 1): it is not at q={wrong:.3g}"
         )
@@ -96,12 +96,12 @@ def check_table(name: str, profile: Profile) -> None:
         raise ValueError(f"the profile of kernel {name!r} must have a positive integral")
     largest = _largest(profile)
     error = np.abs(
-        codes.sample(codes.TABLE, table_of(profile, 0), _PLACES, derivative=False) - exact
+        codes.sample(codes.TABLE, table_of(profile, 0), _TESTED, derivative=False) - exact
     )
     if error.max() > _MOST_ERROR * largest:
         warn_user(
             f"kernel {name!r}: sums use its profile to {error.max() / largest:.1e} of its largest value, worst at "
-            f"q={_PLACES[error.argmax()]:.3g}; a profile that is smooth, or has its kinks at multiples of "
+            f"q={_TESTED[error.argmax()]:.3g}; a profile that is smooth, or has its kinks at multiples of "
             f"1/{_INTERVALS}, is kept to {_MOST_ERROR:g}"
         )
         return
@@ -181,13 +181,13 @@ def _even(profile: Profile) -> list[float]:
     The number of coefficients is a multiple of `AT_ONCE`, as loops take them.
     """
     largest = _largest(profile)
-    exact = _values(profile, _PLACES)
+    exact = _values(profile, _TESTED)
     for count in range(AT_ONCE, _MOST_EVEN + 1, AT_ONCE):
         series = Chebyshev.interpolate(
             lambda y: _values(profile, np.sqrt(0.5 * (y + 1.0))), count - 1, (-1.0, 1.0)
         )
         polynomial = series.convert(kind=Polynomial)
-        error = np.abs(polynomial(2.0 * _PLACES**2 - 1.0) - exact).max()
+        error = np.abs(polynomial(2.0 * _TESTED**2 - 1.0) - exact).max()
         if error <= _EVEN_ERROR * largest:
             coefficients = np.zeros(count)
             coefficients[: len(polynomial.coef)] = polynomial.coef
@@ -307,13 +307,13 @@ def _fit(
     near_ends = 0.5 * (begin + end) + 0.5 * (end - begin) * np.polynomial.chebyshev.chebpts1(
         4 * _DEGREES[-1]
     )
-    places = np.concatenate([inside, near_ends, [end * (1.0 - 1e-14)]])
-    exact = _values(profile, places)
+    tested = np.concatenate([inside, near_ends, [end * (1.0 - 1e-14)]])
+    exact = _values(profile, tested)
     for degree in degrees:
         series = Chebyshev.interpolate(partial(_values, profile), degree, (begin, end))
-        if np.abs(series(places) - exact).max() <= _SHELL_ERROR * largest:
+        if np.abs(series(tested) - exact).max() <= _SHELL_ERROR * largest:
             polynomial = series.convert(kind=Polynomial)
-            error = np.abs(polynomial(places) - exact).max()  # with the rounding of its terms
+            error = np.abs(polynomial(tested) - exact).max()  # with the rounding of its terms
             terms = np.abs(polynomial.coef) @ end ** np.arange(len(polynomial.coef))
             if error <= _SHELL_ERROR * largest and terms <= _LARGEST_TERMS * largest:
                 return polynomial

@@ -117,17 +117,19 @@ def _warn_of_depth(contacts: Contacts) -> None:
 
     Not along periodic axes, where no mean stress can grow steadily.
     """
-    push = (contacts.normal_force > 0) & (contacts.first_row >= 0)
+    push = (contacts.normal_force > 0) & (contacts.first_index >= 0)
     force = contacts.normal_force[push]
     slices = min(_SLICES, len(force) // _IN_A_SLICE)
     if slices < 2:
         return
     noise = force.std() * math.sqrt(2 * slices / len(force))  # of the difference of two slices
     is_open = contacts.lattice.open_axes
-    for axis, places, is_bounded in zip(COMPONENTS, contacts.point[push].T, is_open, strict=True):
-        if not is_bounded or np.ptp(places) == 0:
+    for axis, coordinates, is_bounded in zip(
+        COMPONENTS, contacts.point[push].T, is_open, strict=True
+    ):
+        if not is_bounded or np.ptp(coordinates) == 0:
             continue
-        parts = np.array_split(force[np.argsort(places, kind="stable")], slices)
+        parts = np.array_split(force[np.argsort(coordinates, kind="stable")], slices)
         means = [part.mean() for part in parts]
         low = min(means)
         high = max(means)
@@ -153,10 +155,10 @@ def surface_velocities(
     particles as they are written, or to the images that touch at the point.
     """
     velocities = []
-    for row, branch in ((contacts.i, contacts.branch_i), (contacts.j, contacts.branch_j)):
-        of_grain = row >= 0
-        grain = row[of_grain]
-        u = frame.get(WALL_VELOCITY, np.zeros((len(row), 3))).copy()
+    for index, branch in ((contacts.i, contacts.branch_i), (contacts.j, contacts.branch_j)):
+        of_grain = index >= 0
+        grain = index[of_grain]
+        u = frame.get(WALL_VELOCITY, np.zeros((len(index), 3))).copy()
         u[of_grain] = frame["velocity"][grain]
         if "angular_velocity" in frame:
             u[of_grain] += np.cross(branch[of_grain], frame["angular_velocity"][grain])

@@ -41,9 +41,9 @@ def _limits(
 ) -> NDArray:
     """Longest branch (cutoffs) for which each rule keeps to `rtol`, measured against the closed form.
 
-    The error of a rule depends on nothing but the branch length over the cutoff and the place of
+    The error of a rule depends on nothing but the branch length over the cutoff and the position of
     the node, so that a scan over both bounds it for every scene. A twentieth is kept in hand for
-    places between those scanned.
+    positions between those scanned.
     """
     table = PLAIN
     if profile is not None:
@@ -77,7 +77,7 @@ def gauss_limits(kernel: Kernel, seen: int, rtol: float) -> NDArray:
     """Longest branch (cutoffs) for which 2, 4, ... Gauss-Legendre points keep the promise `rtol`.
 
     The promise is ``|S_quadrature - S| <= rtol max S`` for every segment, the maximum taken over
-    all places. Kernels that jump have no such bound and always take the closed form (an empty
+    all positions. Kernels that jump have no such bound and always take the closed form (an empty
     array), as does ``rtol=0``.
     """
     if rtol == 0 or kernel.smoothness < 0 or seen == 0:
