@@ -174,17 +174,17 @@ class _Cells(FrameAnalysis):
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
         """Compute the cells of the particles of a step."""
         vectors, first = self._region(lattice, source)
-        place = _inside(frame, vectors, first, lattice, source)
+        position = _inside(frame, vectors, first, lattice, source)
         volume = abs(np.linalg.det(vectors))
-        unit = (volume / max(1, len(place))) ** (1 / 3)  # edge of a mean cell
+        unit = (volume / max(1, len(position))) ** (1 / 3)  # edge of a mean cell
         radius = frame["diameter"] / 2
-        order, tree = _tree(place / unit, radius / unit, vectors / unit, lattice.open_axes)
+        order, tree = _tree(position / unit, radius / unit, vectors / unit, lattice.open_axes)
         cells, faces = _cells(tree, self.faces, self.threads)
         back = np.argsort(order)
         volumes = cells.volume[back] * unit**3
         ids = frame["particle_id"]
         _check(volumes, volume, ids, source)
-        fraction = np.full(len(place), np.nan)
+        fraction = np.full(len(position), np.nan)
         np.divide(frame["volume"], volumes, out=fraction, where=volumes > 0)
         # the two faces of a layer are no edges
         in_plane = np.repeat([axis in self.setup.plane for axis in COMPONENTS], 2)
@@ -260,7 +260,7 @@ class _Cells(FrameAnalysis):
 
 
 def _check(volumes: NDArray, volume: float, ids: NDArray, source: str) -> None:
-    """Raise SceneError if a particle has no cell, as another is at its place, or the cells do not fill the region."""
+    """Raise SceneError if a particle has no cell, as another coincides with it, or the cells do not fill the region."""
     together = np.isnan(volumes)
     if together.any():
         raise SceneError(
@@ -278,37 +278,37 @@ def _inside(
     frame: Frame, vectors: NDArray, first: NDArray, lattice: Lattice, source: str
 ) -> NDArray:
     """Return positions (n, 3) in the region, relative to its corner; raise if one is outside."""
-    place = lattice.wrapped(frame["position"], first, source) - first
+    position = lattice.wrapped(frame["position"], first, source) - first
     is_open = lattice.open_axes
-    outside = ((place < 0) | (place > np.diag(vectors)))[:, is_open].any(axis=1)
+    outside = ((position < 0) | (position > np.diag(vectors)))[:, is_open].any(axis=1)
     if outside.any():
-        row = int(outside.argmax())
+        index = int(outside.argmax())
         raise SceneError(
             f"{source}: {outside.sum()} particles are outside of the ends of the cells, such as id "
-            f"{frame['particle_id'][row]} at {frame['position'][row].tolist()}; pass wider bounds="
+            f"{frame['particle_id'][index]} at {frame['position'][index].tolist()}; pass wider bounds="
         )
-    return place
+    return position
 
 
 def _tree(
-    place: NDArray, radius: NDArray, vectors: NDArray, is_open: NDArray
+    position: NDArray, radius: NDArray, vectors: NDArray, is_open: NDArray
 ) -> tuple[NDArray, Tree]:
-    """Sort particles (n, 3), from the corner of a region, by halves; return the row of each in their order."""
+    """Sort particles (n, 3), from the corner of a region, by halves; return their indices in this order."""
     inverse = np.linalg.inv(vectors)
-    place = place - np.where(is_open, 0.0, np.floor(place @ inverse)) @ vectors
-    order = np.arange(len(place))
-    depth = max(0, math.ceil(math.log2(max(1, len(place)) / _LEAF)))
+    position = position - np.where(is_open, 0.0, np.floor(position @ inverse)) @ vectors
+    order = np.arange(len(position))
+    depth = max(0, math.ceil(math.log2(max(1, len(position)) / _LEAF)))
     boxes = []
     for k in range(depth + 1):
-        starts = len(place) * np.arange(2**k + 1) // 2**k
-        sorted_place = place[order]
-        low = np.minimum.reduceat(sorted_place, starts[:-1])
-        high = np.maximum.reduceat(sorted_place, starts[:-1])
+        starts = len(position) * np.arange(2**k + 1) // 2**k
+        in_order = position[order]
+        low = np.minimum.reduceat(in_order, starts[:-1])
+        high = np.maximum.reduceat(in_order, starts[:-1])
         boxes.append((low, high, np.maximum.reduceat(radius[order], starts[:-1])))
         # the next halves are those along the longest side
         longest = (high - low).argmax(axis=1)
         box = np.repeat(np.arange(2**k), np.diff(starts))
-        along = sorted_place[np.arange(len(place)), longest[box]]
+        along = in_order[np.arange(len(position)), longest[box]]
         if k < depth:
             order = order[np.lexsort([along, box])]
     low, high, largest = map(np.concatenate, zip(*boxes, strict=True))
@@ -317,7 +317,7 @@ def _tree(
     if (vectors != np.diag(np.diag(vectors))).any():
         half = np.full(3, lengths.sum() / 2)
     return order, Tree(
-        np.column_stack([place, radius])[order],
+        np.column_stack([position, radius])[order],
         low,
         high,
         largest,

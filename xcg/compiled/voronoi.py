@@ -22,7 +22,7 @@ from xcg.compiled._jit import inner, leaf
 
 # of a face that counts: rounding makes smaller ones where more than four cells meet
 LEAST_AREA = 1e-6
-SAME_PLACE = 1e-20  # square of the distance of two particles that have no plane between them
+COINCIDENT = 1e-20  # square of the distance of two particles that have no plane between them
 # Vertices less than this above a plane are not cut off, as a share of squared lengths. If those
 # above it are not all next to each other, due to rounding, more are left, a few times.
 TOLERANCE = 1e-13
@@ -235,11 +235,11 @@ def _cut(count, plane, limit, cell):
         return 0
     if edges <= 0:
         return count
-    # new vertices take the places of those that are gone, and then the next
+    # new vertices take the slots of those that are gone, and then the next
     for n in range(edges):
-        place = count + n - gone
+        slot = count + n - gone
         if n < gone:
-            place = cell.gone[n]
+            slot = cell.gone[n]
         first = cell.crossing[n, 0]
         second = cell.crossing[n, 1]
         stays = cell.crossing[n, 2]
@@ -248,27 +248,27 @@ def _cut(count, plane, limit, cell):
         if after < gone:
             beside = cell.gone[after]
         for axis in range(3):
-            cell.vertex[axis, place] = cell.new[axis, n]
-        cell.planes[place, 0] = first
-        cell.planes[place, 1] = second
-        cell.planes[place, 2] = plane
-        cell.beside[place, 0] = stays
-        cell.beside[place, 1] = beside
-        cell.beside[beside, 2] = place
-        _joined(cell, stays, second, first, place)
-    # the last vertices fill the places that are left
+            cell.vertex[axis, slot] = cell.new[axis, n]
+        cell.planes[slot, 0] = first
+        cell.planes[slot, 1] = second
+        cell.planes[slot, 2] = plane
+        cell.beside[slot, 0] = stays
+        cell.beside[slot, 1] = beside
+        cell.beside[beside, 2] = slot
+        _joined(cell, stays, second, first, slot)
+    # the last vertices fill the slots that are left
     last = count - 1
     for n in range(gone - 1, edges - 1, -1):
-        place = cell.gone[n]
+        slot = cell.gone[n]
         for axis in range(3):
-            cell.vertex[axis, place] = cell.vertex[axis, last]
-            cell.planes[place, axis] = cell.planes[last, axis]
-            cell.beside[place, axis] = cell.beside[last, axis]
-        if place != last:
+            cell.vertex[axis, slot] = cell.vertex[axis, last]
+            cell.planes[slot, axis] = cell.planes[last, axis]
+            cell.beside[slot, axis] = cell.beside[last, axis]
+        if slot != last:
             for k in range(3):
-                first = cell.planes[place, k]
-                second = cell.planes[place, (k + 1) % 3]
-                _joined(cell, cell.beside[place, k], second, first, place)
+                first = cell.planes[slot, k]
+                second = cell.planes[slot, (k + 1) % 3]
+                _joined(cell, cell.beside[slot, k], second, first, slot)
         last -= 1
     return count + edges - gone
 
@@ -314,7 +314,7 @@ def _may_cut(i, box, shift, count, farthest, tree, cell):
 def _cut_by_some(i, first, last, shift, count, planes, tree, cell):
     """Cut the cell of a particle by the planes of others; return the numbers of vertices and planes.
 
-    There are -1 vertices if the memory does not suffice, -2 if a particle is at the same place.
+    There are -1 vertices if the memory does not suffice, -2 if a particle is at the same position.
     """
     x, y, z = cell.vertex[0], cell.vertex[1], cell.vertex[2]
     above = cell.above
@@ -326,7 +326,7 @@ def _cut_by_some(i, first, last, shift, count, planes, tree, cell):
         dy = particles[j, 1] - particles[i, 1] + shift[1]
         dz = particles[j, 2] - particles[i, 2] + shift[2]
         d2 = dx * dx + dy * dy + dz * dz
-        if d2 < SAME_PLACE:
+        if d2 < COINCIDENT:
             if i == j:
                 continue
             return -2, planes
