@@ -313,11 +313,11 @@ def random_scene(
     from scipy.spatial import cKDTree
 
     rng = np.random.default_rng(seed)
-    seen = 3 if dimension == 3 else 2
-    moving = np.arange(3) < seen
+    axes_count = 3 if dimension == 3 else 2
+    moving = np.arange(3) < axes_count
     position = np.zeros((particles, 3))
-    position[:, :seen] = rng.uniform(0, edge, (particles, seen))
-    mean = edge * (0.6 / max(particles, 1)) ** (1 / seen)
+    position[:, :axes_count] = rng.uniform(0, edge, (particles, axes_count))
+    mean = edge * (0.6 / max(particles, 1)) ** (1 / axes_count)
     diameter = mean * rng.uniform(1.0, polydispersity, particles) * 2 / (1 + polydispersity)
     period = edge * np.array([a in periodic for a in COMPONENTS])
     tree = cKDTree(position, boxsize=period)
@@ -326,7 +326,7 @@ def random_scene(
     force = rng.normal(size=(len(pairs), 3)) * moving
     branch = minimum_image(position[i] - position[j], np.where(period > 0, period, np.inf))
     point = position[i] - 0.5 * branch
-    for k, axis in enumerate(COMPONENTS[:seen]):
+    for k, axis in enumerate(COMPONENTS[:axes_count]):
         if walls and axis not in periodic:
             near = np.flatnonzero(position[:, k] < 0.5 * diameter)
             foot = position[near]

@@ -1,4 +1,4 @@
-"""The algebra at the nodes, step by step, over a few nodes at a time so that all intermediate results stay in cache."""
+"""The algebra at the nodes, an instruction at a time over so few nodes that all intermediate results stay in cache."""
 
 import math
 
@@ -9,7 +9,7 @@ from xcg.compiled._jit import inner, leaf
 from xcg.compiled.gradient_fit import fit_rows
 from xcg.compiled.simd import EIGHT, TILE, stream, transpose8x8
 
-# The operations of a step (operation, result, a, b). Results and operands are rows of the scratch,
+# The operations of an instruction (operation, result, a, b). Results and operands are rows of the scratch,
 # but for a load and a store, which say what to load or store.
 (
     CONSTANT,

@@ -77,7 +77,7 @@ class Rows(NamedTuple):
     low, high : tuple of int
         The block low <= (ix, iy, iz) < high, so that blocks can be filled one by one, or at the
         same time.
-    steps, per_steps : tuple of float
+    spacings, per_spacings : tuple of float
         Spacing, and nodes per length.
     """
 

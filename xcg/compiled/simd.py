@@ -176,7 +176,7 @@ def _ramp8(typingctx, lists, to, squares, at, first, spacing, origin, factor):
 
 @compiled_as(_ramp8)
 def ramp8(lists, to, squares, at, first, spacing, origin, factor):
-    """Write d = (first + k) step - origin, times a factor, and its square, for k = 0, ... 7.
+    """Write d = (first + k) spacing - origin, times a factor, and its square, for k = 0, ... 7.
 
     ``lists[to, at + k] = factor * d`` and ``lists[squares, at + k] = d * d``.
     """

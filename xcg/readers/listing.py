@@ -13,7 +13,7 @@ from xcg.readers.pairs import from_first_date, index_files, pair_steps
 from xcg.readers.paths import expand_paths
 from xcg.readers.read_steps import Step
 from xcg.scene.schema import Setup
-from xcg.scene.times import times_given
+from xcg.scene.times import times_of_caller
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def list_series(arguments: Arguments) -> Listing:
         refs, start = from_first_date(refs, time_unit)
         times = arguments.times
         if times is not None:
-            times, start = times_given(times, "times=", time_unit)
+            times, start = times_of_caller(times, "times=", time_unit)
         missing = arguments.missing
         if left_out and missing == "empty":
             _check_contacts_are_complete(left_out, files)

@@ -52,9 +52,9 @@ class Contacts:
         Periodic images.
     key_i, key_j : array (n,)
         Identifiers of the partners, walls included.
-    given_normal : array (n, 3) or None
+    data_normal : array (n, 3) or None
         Unit vector from j to i, where the data hold it.
-    given_branches : tuple of array (n, 3) or None
+    exact_branches : tuple of array (n, 3) or None
         Branches of i and j, where they are known better than from centres and contact points.
     threads : int
         Threads that share the loops over contacts; results do not depend on it.
@@ -68,8 +68,8 @@ class Contacts:
     lattice: Lattice
     key_i: NDArray
     key_j: NDArray
-    given_normal: NDArray | None
-    given_branches: tuple[NDArray, NDArray] | None = None
+    data_normal: NDArray | None
+    exact_branches: tuple[NDArray, NDArray] | None = None
     threads: int = 1
 
     @classmethod
@@ -94,8 +94,8 @@ class Contacts:
     @cached_property
     def branches(self) -> tuple[NDArray, NDArray]:
         """From the contact point to the centres, ``r_i - c`` (m), nearest image; zero for a partner not there."""
-        if self.given_branches is not None:
-            return self.given_branches
+        if self.exact_branches is not None:
+            return self.exact_branches
         return self._sides(self.i), self._sides(self.j)
 
     def _sides(self, index: NDArray) -> NDArray:
@@ -149,7 +149,7 @@ class Contacts:
         branch_j = self.branch_j.copy()
         branch_i[both[spheres]] = branches[0][spheres]
         branch_j[both[spheres]] = branches[1][spheres]
-        return replace(self, given_branches=(branch_i, branch_j))
+        return replace(self, exact_branches=(branch_i, branch_j))
 
     @property
     def between(self) -> NDArray:
@@ -159,7 +159,7 @@ class Contacts:
         unless grains are larger than half the box. The contact point itself, and which of the two
         comes first, make no difference.
         """
-        if self.given_branches is not None:
+        if self.exact_branches is not None:
             return self.branch_i - self.branch_j
         out = np.empty_like(self.point)
         periods = self.lattice.for_loops
@@ -176,8 +176,8 @@ class Contacts:
     @cached_property
     def normal(self) -> NDArray:
         """Unit vector from j to i, along `between` where none is given; zero where it is undefined; (n, 3)."""
-        if self.given_normal is not None:
-            return self.given_normal
+        if self.data_normal is not None:
+            return self.data_normal
         return unit_vectors(self.between)
 
     @cached_property
@@ -263,7 +263,7 @@ class Contacts:
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
-        along = self.given_normal
+        along = self.data_normal
         if along is None:
             along = self.between
         total = np.zeros((len(self.position), 6))

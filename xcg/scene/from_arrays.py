@@ -22,7 +22,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion, check_scene
 from xcg.scene.schema import PADDING, VARIABLES, Frame, Setup, Shape, Sides, variable
 from xcg.scene.sizes import measure_frames
-from xcg.scene.times import check_times, times_given
+from xcg.scene.times import check_times, times_of_caller
 from xcg.scene.typed import refuse_mask
 
 
@@ -222,7 +222,7 @@ def scene_from_arrays(
     times = None
     start = None
     if time is not None:
-        time, start = times_given(time, "time=", setup.scales[2])
+        time, start = times_of_caller(time, "time=", setup.scales[2])
         seconds = np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
         times = _one_for_each("time", seconds, total)
     rising = numbers if times is None else times

@@ -92,7 +92,7 @@ def _from_objects(series: pd.Series, source: str) -> pd.Series:
         ) from None
 
 
-def times_given(times: Any, name: str, scale: float) -> tuple[Any, str | None]:
+def times_of_caller(times: Any, name: str, scale: float) -> tuple[Any, str | None]:
     """Return times of the caller in their unit, and the first of dates; numbers stay as they are.
 
     Parameters

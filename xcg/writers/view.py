@@ -134,22 +134,22 @@ def _noted(mesh: Any, step: xr.Dataset, variables: Mapping[str, str]) -> Any:
 
 def _blocks(pv: Any, ds: xr.Dataset, index: int, *, shapes: bool, chains: xr.Dataset | None) -> Any:
     """Grains, contacts, chains and box of a step."""
-    rows = {
+    names = {
         dim: [str(name) for name in ds.data_vars if dim in ds[name].dims]
         for dim in ("particle", "contact")
     }
-    frame, lattice, source = frame_at(ds, index, [*rows["particle"], *rows["contact"]])
+    frame, lattice, source = frame_at(ds, index, [*names["particle"], *names["contact"]])
     step = step_at(ds, index)
     blocks = pv.MultiBlock()
     grains = pv.PolyData(frame["position"])
     if grains.n_points:  # PyVista takes no empty vectors
-        grains.point_data.update({name: frame[name] for name in rows["particle"]})
+        grains.point_data.update({name: frame[name] for name in names["particle"]})
     sizes = frame.get("diameter", np.zeros(0))
     if shapes and len(sizes):
         grains = grains.glyph(geom=pv.Sphere(**_SPHERE), scale="diameter", orient=False)
-    blocks["particles"] = _noted(grains, step, {name: name for name in rows["particle"]})
+    blocks["particles"] = _noted(grains, step, {name: name for name in names["particle"]})
     if "contact_i" in frame:
-        values = {name: frame[name] for name in rows["contact"]}
+        values = {name: frame[name] for name in names["contact"]}
         if "contact_force" in frame:
             values["force_magnitude"] = np.linalg.norm(frame["contact_force"], axis=1)
         start, end, contact = _branches(Contacts.of(frame, lattice, source))
