@@ -17,6 +17,7 @@ from xcg.compiled.arrays import sort_by_key
 from xcg.compiled.pairs import Levels, Records, order_pairs, sort_pairs
 from xcg.compiled.radial_distribution import Histogram
 from xcg.scene.box import domain_of
+from xcg.scene.frame import entries_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import periodic_axes
 
@@ -277,9 +278,7 @@ def find_pairs(
         box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
     periodic = periodic_axes(periodic)
     arrays = domain_of(box, lattice, {}, periodic, 1)
-    images = Lattice.of(
-        {name: values[0] for name, values in arrays.items()}, periodic, "find_pairs"
-    )
+    images = Lattice.of(entries_of(arrays, 0), periodic, "find_pairs")
     return pairs_of(
         centres,
         radii,

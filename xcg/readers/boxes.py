@@ -15,6 +15,7 @@ from xcg.readers.files.text import source_of
 from xcg.readers.listing import Listing
 from xcg.readers.read_steps import Step
 from xcg.scene.box import domain_of
+from xcg.scene.frame import entries_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, Frame, Setup
 from xcg.steps.faults import FAULTS
@@ -49,7 +50,7 @@ def boxes_of(
         box = [ref.box for ref in refs]
     boxes = domain_of(box, lattice, shear_rate, setup.periodic, len(refs), times, setup.scales[0])
     for index, ref in enumerate(refs):
-        box_of_step = {name: values[index] for name, values in boxes.items()}
+        box_of_step = entries_of(boxes, index)
         Lattice.of(box_of_step, setup.periodic, source_of(ref))  # checks it
     if arguments.box is not None and refs[0].box is None:
         _compare_with_contacts(boxes["box"], arguments, listing, setup)

@@ -27,7 +27,7 @@ from xcg.readers.order import cause_by_column, warn_if_none_recurs
 from xcg.readers.report import check_plane, list_not_read, report_missing_ids, warn_of_columns
 from xcg.scene.box import domain_of
 from xcg.scene.conform import ROW_NUMBERS
-from xcg.scene.frame import indices_of
+from xcg.scene.frame import entries_of, indices_of
 from xcg.scene.from_arrays import scene_from_arrays
 from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.schema import Frame, Setup, periodic_axes
@@ -172,7 +172,7 @@ def _lattices(steps: Sequence[float], options: Mapping[str, Any]) -> dict[float,
     boxes = domain_of(box, options.get("lattice"), {}, periodic, len(steps))
     lattices = {}
     for t, key in enumerate(steps):
-        box_of_step = {name: values[t] for name, values in boxes.items()}
+        box_of_step = entries_of(boxes, t)
         lattices[key] = Lattice.of(box_of_step, periodic)
     return lattices
 

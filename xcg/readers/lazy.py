@@ -16,6 +16,7 @@ from dask.highlevelgraph import HighLevelGraph
 from xcg.readers.chunks import chunk_sizes, steps_in_a_task
 from xcg.readers.read_steps import read_contact_chunk, read_particle_chunk
 from xcg.readers.series import Series
+from xcg.scene.frame import entries_of
 from xcg.scene.schema import MOTION, ROTATION
 from xcg.steps.mapping import picked
 
@@ -50,7 +51,7 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
         others = [name for name in seldom if name in particle_types and name not in wanted]
         reader = source.reading(unwanted=tuple(others))
         for k, part in enumerate(parts):
-            edges = {name: values[part] for name, values in boxes.items()}
+            edges = entries_of(boxes, part)
             task = partial(read_particle_chunk, reader, steps[part], types, particle_count, edges)
             tasks[layer, k] = (task,)
         graph = HighLevelGraph({layer: tasks}, {layer: set()})
@@ -60,7 +61,7 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
         layer = f"read-contacts-{token}"
         tasks = {}
         for k, part in enumerate(parts):
-            edges = {name: values[part] for name, values in boxes.items()}
+            edges = entries_of(boxes, part)
             task = partial(
                 read_contact_chunk, source, steps[part], series.contact_names, contact_count, edges
             )

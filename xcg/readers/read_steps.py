@@ -16,7 +16,7 @@ from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.scene.complete import complete_particles
 from xcg.scene.complete_contacts import HINTS, complete_contacts
-from xcg.scene.frame import frame_of, stack
+from xcg.scene.frame import entries_of, frame_of, stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity_contacts import check_ends, is_central
 from xcg.scene.schema import VARIABLES, Frame, Setup, variable
@@ -277,7 +277,7 @@ def read_particle_chunk(
         frame = source.opened.take(ref, types)
         if frame is None:
             raw = read_step(source.engine, source.options, ref)
-            box = {name: values[t] for name, values in boxes.items()}
+            box = entries_of(boxes, t)
             frame = source.complete(raw, ref, box)
         _require(frame, list(types), ref)
         return frame
@@ -296,7 +296,7 @@ def read_contact_chunk(
     """Contacts of the steps of a chunk, padded, checked against the particles of the same chunk."""
 
     def read(t: int, step: Step) -> Frame:
-        box = {name: values[t] for name, values in boxes.items()}
+        box = entries_of(boxes, t)
         return source.contacts(step.contacts, names, frame_of(particles, t), box)
 
     types = {name: variable(name).dtype for name in names}

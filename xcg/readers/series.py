@@ -23,6 +23,7 @@ from xcg.readers.read_steps import Source, Step, read_step
 from xcg.readers.report import check_plane
 from xcg.scene.conform import ROW_NUMBERS
 from xcg.scene.contacts import named_walls
+from xcg.scene.frame import entries_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion, check_scene
 from xcg.scene.schema import VARIABLES, Frame, Setup, variable
@@ -149,7 +150,7 @@ def _check_times_of_motion(series: Series, first: Frame, images: Lattice) -> Non
     source = series.source
     try:
         raw = read_step(source.engine, source.options, ref)
-        box = {name: values[1] for name, values in series.boxes.items()}
+        box = entries_of(series.boxes, 1)
         second = source.complete(raw, ref, box)
         source.opened.keep(ref, second, beside=True)
     except FAULTS:

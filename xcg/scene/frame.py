@@ -173,6 +173,11 @@ def frame_of(
     return frame
 
 
+def entries_of(arrays: Mapping[str, NDArray], chosen: Any) -> Frame:
+    """Return the chosen entries of each array: at an index, or those of a slice, a mask or indices."""
+    return {name: values[chosen] for name, values in arrays.items()}
+
+
 def check_finite(name: str, frame: Frame, source: str) -> None:
     """Raise SceneError for a variable that is not finite in a row of data, as an assigned one may be."""
     if frame[name].dtype.kind != "f" or np.isfinite(frame[name]).all():

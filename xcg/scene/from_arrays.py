@@ -17,7 +17,7 @@ from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
 from xcg.scene.complete_contacts import complete_contacts
 from xcg.scene.conform import ROW_NUMBERS
-from xcg.scene.frame import stack
+from xcg.scene.frame import entries_of, stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_motion, check_scene
 from xcg.scene.schema import PADDING, VARIABLES, Frame, Setup, Shape, Sides, variable
@@ -229,7 +229,7 @@ def scene_from_arrays(
     check_times(rising, "a scene", "sort the steps, and leave out those that stand twice")
     domain = domain_of(box, lattice, shear_rate, setup.periodic, total, times, setup.scales[0])
     lattices = [
-        Lattice.of({name: values[t] for name, values in domain.items()}, setup.periodic, source)
+        Lattice.of(entries_of(domain, t), setup.periodic, source)
         for t, source in enumerate(_sources(total))
     ]
     particles, contacts = _completed(steps, lattices, setup, allow_unknown)

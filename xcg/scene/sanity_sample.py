@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.scene.frame import entries_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame, Setup
 
@@ -60,7 +61,7 @@ class Particles:
     def sample(self) -> Frame:
         """Variables of particles spread over all."""
         some = sample_of(self.count)
-        return {name: values[some] for name, values in self.frame.items()}
+        return entries_of(self.frame, some)
 
     @cached_property
     def diameter(self) -> float:

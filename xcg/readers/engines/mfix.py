@@ -44,6 +44,7 @@ from xcg.readers.files.text import open_binary
 from xcg.readers.files.vtkheader import read_arrays
 from xcg.readers.files.vtp import read_collection
 from xcg.readers.names import OF_MFIX
+from xcg.scene.frame import entries_of
 from xcg.scene.schema import COMPONENTS, Frame, variable
 
 _NORMAL = "FORCE_CHAIN_FN"
@@ -157,11 +158,11 @@ class Mfix(Vtk):
         raw = _RawContacts.of(ref, options, self.targets(ref, options, contacts=True))
         spheres = np.flatnonzero(~raw.superquadric)
         others = np.flatnonzero(raw.superquadric)
-        frame = {name: values[spheres] for name, values in raw.frame.items()}
+        frame = entries_of(raw.frame, spheres)
         frame = each_contact_once(frame, raw.mark[spheres], raw.point[spheres])
         if not len(others):
             return frame
-        sides = {name: values[others] for name, values in raw.frame.items()}
+        sides = entries_of(raw.frame, others)
         joined = both_sides_once(sides, raw.point[others], raw.length[others], _periods(raw))
         return {name: np.concatenate([frame[name], joined[name]]) for name in frame}
 

@@ -23,6 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.scene.frame import entries_of
 from xcg.scene.lattice import minimum_image
 from xcg.scene.schema import COMPONENTS, Frame
 
@@ -157,7 +158,7 @@ def each_contact_once(contacts: Frame, mark: NDArray, points: NDArray) -> Frame:
     joined[kept] = (force[kept] - force[gone]) / 2
     keep = np.ones(len(i), bool)
     keep[copies] = keep[gone] = False
-    return {name: values[keep] for name, values in (contacts | {"contact_force": joined}).items()}
+    return entries_of(contacts | {"contact_force": joined}, keep)
 
 
 def both_sides_once(
@@ -212,7 +213,7 @@ def both_sides_once(
     for name in {"contact_force", "contact_point", "overlap"} & set(joined):
         joined[name] = _means(joined[name], first)
     keep = first == np.arange(len(i))
-    return {name: values[keep] for name, values in joined.items()}
+    return entries_of(joined, keep)
 
 
 def _means(values: NDArray, group: NDArray) -> NDArray:

@@ -25,6 +25,7 @@ from xcg.readers.files.text import open_binary
 from xcg.readers.files.vtkheader import OF_CELLS, Header
 from xcg.readers.named_columns import columns_by_name, factor_of
 from xcg.readers.names import CONTACT_ARRAYS, PARTICLE_ARRAYS, Slots, components, slots_for
+from xcg.scene.frame import entries_of
 from xcg.scene.schema import COMPONENTS, Frame, variable
 
 _VECTORS = ("velocity", "angular_velocity", "unwrapped_position", "image")
@@ -66,7 +67,7 @@ def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
     frame = {name: arrays[array] for name, array in wanted.items()}
     if ghosts:
         of_piece = arrays[ghosts[0]] == 0
-        frame = {name: values[of_piece] for name, values in frame.items()}
+        frame = entries_of(frame, of_piece)
     return frame
 
 
