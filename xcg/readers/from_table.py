@@ -215,6 +215,38 @@ def _check_arguments(options: Mapping[str, Any], arrays: Mapping[str, Any]) -> N
         )
 
 
+def _branches(
+    table: pd.DataFrame,
+    ends: Mapping[str, str],
+    options: ReadOptions,
+    grains: Mapping[float, tuple[dict[str, float], Frame]],
+    lattices: Mapping[float, Lattice],
+) -> NDArray:
+    """Return the vectors (n, 3) from j to i of the contacts in a table, nearest images in the lattice of the step."""
+    ids_i = _numbers(table, ends["contact_i"], "contacts")
+    ids_j = _numbers(table, ends["contact_j"], "contacts")
+    keys = np.zeros(len(table))
+    clock = [*clock_of(tuple(table.columns), options.names).values()]
+    if clock:
+        keys = _numbers(table, clock[0], "contacts")
+    branch = np.zeros((len(table), 3))
+    for key, (_, frame) in grains.items():
+        indices = np.flatnonzero(keys == key)
+        position = frame["position"]
+        ids = frame.get("particle_id", np.arange(len(position)))
+        unknown = np.setdiff1d(np.concatenate([ids_i[indices], ids_j[indices]]), ids)
+        if unknown.size:
+            raise SceneError(
+                f"contacts: no particle has id {unknown[0]:g} at {key:g}; drop its contacts or add it"
+            )
+        order = np.argsort(ids)
+        sorted_ids = ids[order].astype(int)
+        i = order[indices_of(sorted_ids, ids_i[indices].astype(int))]
+        j = order[indices_of(sorted_ids, ids_j[indices].astype(int))]
+        branch[indices] = lattices[key].shortest(position[i] - position[j])
+    return branch
+
+
 def _with_vectors(
     contacts: pd.DataFrame,
     grains: Mapping[float, tuple[dict[str, float], Frame]],
@@ -222,8 +254,6 @@ def _with_vectors(
     lattices: Mapping[float, Lattice],
 ) -> pd.DataFrame:
     """Replace magnitudes of forces along and across the lines of centres by vectors; other tables stay as they are.
-
-    The line of centres leads to the nearest image in the lattice of the step.
 
     Raises
     ------
@@ -247,28 +277,8 @@ def _with_vectors(
             "as normal_force_x, ... and contact_point_x, ... to keep them"
         )
         table = table[~walls]
-    ids_i = _numbers(table, ends["contact_i"], "contacts")
-    ids_j = _numbers(table, ends["contact_j"], "contacts")
-    keys = np.zeros(len(table))
-    clock = [*clock_of(tuple(table.columns), options.names).values()]
-    if clock:
-        keys = _numbers(table, clock[0], "contacts")
-    apart = np.zeros((len(table), 3))
-    for key, (_, frame) in grains.items():
-        indices = np.flatnonzero(keys == key)
-        position = frame["position"]
-        ids = frame.get("particle_id", np.arange(len(position)))
-        unknown = np.setdiff1d(np.concatenate([ids_i[indices], ids_j[indices]]), ids)
-        if unknown.size:
-            raise SceneError(
-                f"contacts: no particle has id {unknown[0]:g} at {key:g}; drop its contacts or add it"
-            )
-        order = np.argsort(ids)
-        sorted_ids = ids[order].astype(int)
-        i = order[indices_of(sorted_ids, ids_i[indices].astype(int))]
-        j = order[indices_of(sorted_ids, ids_j[indices].astype(int))]
-        apart[indices] = lattices[key].shortest(position[i] - position[j])
-    x, y, z = unit_vectors(apart).T
+    branch = _branches(table, ends, options, grains, lattices)
+    x, y, z = unit_vectors(branch).T
     along = _numbers(table, normal, "contacts")
     across = np.zeros(len(table))
     if tangential is not None:
