@@ -26,7 +26,7 @@ def check_contacts(
     ----------
     frame : Frame
         Particles and contacts of one step.
-    row_i, row_j : array (contacts,)
+    index_i, index_j : array (contacts,)
         Indices of the partners among the particles, negative where they are not there.
     lattice : Lattice
         Periodic images.

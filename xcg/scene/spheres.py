@@ -108,7 +108,7 @@ class SphereContacts:
         Rows of the file, for messages.
     particles : Frame
         Particles of the same step, with diameters.
-    row_i, row_j : array (n,)
+    index_i, index_j : array (n,)
         Indices of both partners among the particles, negative for partners that are not there.
     data_branch : array (n, 3) or None
         Branches in the data (m), which select the images.
