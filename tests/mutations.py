@@ -470,6 +470,18 @@ TABLE = [
         "test_an_averaged_axis_adds_the_variance_of_the_flow_along_it",
     ),
     Mutation(
+        "fields/pressures.py", "kinetic * (kinetic > least)", "kinetic",
+        "test_flows_without_fluctuations_have_no_noise",
+    ),
+    Mutation(
+        "fields/support.py", "math.prod(length_along(scene, a, size) for a in plan.extent)",
+        "_averaged_over(scene, plan)", "test_empty_parts_of_a_box_hold_no_grains",
+    ),
+    Mutation(
+        "fields/computed_step.py", "contacts=_OF_LATTICE", "contacts=support.contacts",
+        "test_contacts_of_a_lattice_have_no_noise",
+    ),
+    Mutation(
         "fields/pressures.py", "* rows / every", "* rows", "test_pressures_of_a_crystal_that_fluctuates",
     ),
     Mutation(
