@@ -23,7 +23,7 @@ def drawn_whole(film):
     return np.asarray(film.canvas.buffer_rgba()).copy()
 
 
-@pytest.mark.parametrize("kind", ["lines", "map"])
+@pytest.mark.parametrize("kind", ["lines", "mesh", "image"])
 def test_each_frame_is_as_if_it_were_drawn_whole(kind):
     rng = np.random.default_rng(0)
     film = Film((1.5, 1.0), dpi=100)
@@ -35,7 +35,8 @@ def test_each_frame_is_as_if_it_were_drawn_whole(kind):
             film.axes.set_ylim(0, 1)
             film.axes.legend()
         else:
-            mesh = film.axes.pcolormesh(rng.random((4, 5)), vmin=0, vmax=1)
+            draw = {"mesh": film.axes.pcolormesh, "image": film.axes.imshow}[kind]
+            mesh = draw(rng.random((4, 5)), vmin=0, vmax=1)
             if k == 0:
                 film.colorbar(mesh, ax=film.axes)
         film.axes.set_title(f"step {k}")
@@ -43,4 +44,4 @@ def test_each_frame_is_as_if_it_were_drawn_whole(kind):
         frames.append(pixels(film))
     assert not np.array_equal(frames[0], frames[2])
     np.testing.assert_array_equal(frames[2], drawn_whole(film))
-    assert len([*film.axes.lines, *film.axes.collections]) == 1
+    assert len([*film.axes.lines, *film.axes.collections, *film.axes.images]) == 1

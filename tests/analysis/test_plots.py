@@ -47,7 +47,7 @@ def result():
 def test_a_map_shows_the_field_with_arrows_of_the_flow(result):
     _, f = result
     ax = f.cg.plot(index=1, arrows="velocity", shading="flat")
-    mesh, arrows = ax.collections
+    mesh, arrows = map_and_arrows(ax)
     np.testing.assert_array_equal(
         mesh.get_array(), f.volume_fraction.isel(time=1).transpose("z", "x")
     )
@@ -74,7 +74,7 @@ def test_a_map_over_radius_and_height():
     )
     ax = f.cg.plot("density", arrows="velocity", shading="flat")
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$r$ [m]", "$z$ [m]")
-    mesh, arrows = ax.collections
+    mesh, arrows = map_and_arrows(ax)
     np.testing.assert_array_equal(mesh.get_array(), f.density.isel(time=-1).transpose("z", "r"))
     flow = f.velocity.isel(time=-1)
     for (r, z), rise in zip(arrows.get_offsets(), arrows.V, strict=True):
@@ -96,7 +96,7 @@ def test_a_map_over_radius_and_angle_lies_in_the_plane_of_the_circle():
     ).compute()
     ax = f.cg.plot("density", arrows="velocity", shading="flat")
     assert (ax.get_xlabel(), ax.get_ylabel()) == (r"$r\,\cos\theta$ [m]", r"$r\,\sin\theta$ [m]")
-    mesh, arrows = ax.collections
+    mesh, arrows = map_and_arrows(ax)
     np.testing.assert_array_equal(mesh.get_array(), f.density.isel(time=-1).transpose("theta", "r"))
     corner = mesh.get_coordinates()
     first, last = f.theta.to_numpy()[[0, -1]]
@@ -123,7 +123,7 @@ def test_a_cylindrical_wall_is_unrolled():
     side = xcg.Cylinder((0, 0, 0), (0, 0, 1), radius=0.025, low=0.0, high=0.24)
     f = ds.cg.wall_stress(side, 0.01, walls="side").compute()
     ax = f.cg.plot("normal_traction", shading="flat")
-    (mesh,) = ax.collections
+    (mesh,) = map_and_arrows(ax)
     np.testing.assert_array_equal(mesh.get_array(), f.normal_traction[0].transpose("z", "theta"))
     assert (ax.get_xlabel(), ax.get_aspect()) == (r"$\theta$ [rad]", "auto")
     with pytest.raises(ValueError, match=r"f\.sel\(along=...\)"):
@@ -132,12 +132,12 @@ def test_a_cylindrical_wall_is_unrolled():
 
 def test_maps_of_vectors_show_the_magnitude_and_signed_maps_are_white_at_zero(result):
     _, f = result
-    (mesh, _) = f.cg.plot("velocity", shading="flat").collections
+    (mesh, _) = map_and_arrows(f.cg.plot("velocity", shading="flat"))
     np.testing.assert_allclose(
         mesh.get_array(), np.sqrt((f.velocity[-1] ** 2).sum("component")).transpose("z", "x")
     )
     plt.figure()
-    (mesh,) = f.cg.plot("stress", component="x", direction="z").collections
+    (mesh,) = map_and_arrows(f.cg.plot("stress", component="x", direction="z"))
     low, high = mesh.get_clim()
     assert low == -high
     assert high == pytest.approx(
@@ -201,7 +201,7 @@ def surface():
 
 def test_a_free_surface_does_not_flatten_the_inertial_number(surface):
     ax = surface.cg.plot("inertial_number")
-    mesh = ax.collections[0]
+    mesh = map_and_arrows(ax)[0]
     bar = ax.figure.axes[-1]
     assert mesh.get_clim() == pytest.approx((0.1, 0.385))  # at z = 3.8, below the surface
     assert bar.get_ylabel() == "inertial number, up to its 95th percentile"
@@ -215,22 +215,22 @@ def test_a_free_surface_does_not_flatten_the_inertial_number(surface):
 
 def test_a_tail_is_drawn_where_it_is_asked_for_or_the_field_has_a_bound(surface):
     whole = surface.cg.plot("density")
-    assert whole.collections[0].get_clim()[1] == 2500.0
+    assert map_and_arrows(whole)[0].get_clim()[1] == 2500.0
     given = surface.cg.plot("inertial_number", vmax=9.0)
-    assert given.collections[0].get_clim() == pytest.approx((0.1, 9.0))
+    assert map_and_arrows(given)[0].get_clim() == pytest.approx((0.1, 9.0))
     log = surface.cg.plot("inertial_number", norm="log")
-    assert log.collections[0].get_clim()[1] == pytest.approx(2500.0)
+    assert map_and_arrows(log)[0].get_clim()[1] == pytest.approx(2500.0)
     for ax in (whole, given, log):
         assert "percentile" not in ax.figure.axes[-1].get_ylabel()
 
 
 def test_quotients_of_the_user_are_shown_without_their_tail(surface):
     f = surface.assign(mine=-surface.density / surface.density.max())
-    mesh = f.cg.plot("mine").collections[0]
+    mesh = map_and_arrows(f.cg.plot("mine"))[0]
     assert mesh.get_clim()[0] == pytest.approx(float(f.mine.quantile(0.1)), rel=0.05)
     xcg.register_field("quotient", lambda f, s, o: 1 / f.pressure, fields="pressure", units="Pa^-1")
     f = surface.assign(quotient=surface.density)
-    assert f.cg.plot("quotient").collections[0].get_clim()[1] < 0.4
+    assert map_and_arrows(f.cg.plot("quotient"))[0].get_clim()[1] < 0.4
 
 
 @pytest.mark.parametrize("values", [[], [0.0], [0.0] * 30 + [1.0], [1.0, 2.0, 3.9], np.arange(50)])
@@ -251,7 +251,7 @@ def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given
     f = xcg.datasets.random_scene(60).cg.coarse_grain(
         "density", width=1.0, bounds={"y": (1.0, 3.0)}
     )
-    (mesh,) = f.cg.plot(shading="flat").collections
+    (mesh,) = map_and_arrows(f.cg.plot(shading="flat"))
     np.testing.assert_array_equal(
         mesh.get_array(), f.density.isel(time=0, y=f.sizes["y"] // 2).transpose("z", "x").compute()
     )
@@ -281,25 +281,38 @@ def plane(values, name="density", **attrs):
     return xr.Dataset({name: (("z", "x"), values, attrs)}, coords)
 
 
+def map_and_arrows(ax):
+    """Map, arrows and bands of a pair of axes: smooth maps of even nodes are images."""
+    return [*ax.images, *ax.collections]
+
+
 def numbers_at(mesh, x, z):
     """Numbers of the drawn cells that hold points."""
-    corner = mesh.get_coordinates()
-    column = np.searchsorted(corner[0, :, 0], x) - 1
-    row = np.searchsorted(corner[:, 0, 1], z) - 1
+    left, right, bottom, top = mesh.get_extent()
+    rows, columns = mesh.get_array().shape
+    column = ((x - left) / (right - left) * columns).astype(int)
+    row = ((z - bottom) / (top - bottom) * rows).astype(int)
     return mesh.get_array()[row, column]
 
 
 def test_a_smooth_map_interpolates_linearly_between_the_nodes():
     z, x = np.mgrid[0:4, 0:5] + 0.5
-    (mesh,) = plane(1 + 2 * x - z + 0.5 * x * z).cg.plot().collections
+    (mesh,) = map_and_arrows(plane(1 + 2 * x - z + 0.5 * x * z).cg.plot())
     rng = np.random.default_rng(0)
     x = rng.uniform(0.5, 4.5, 100)
     z = rng.uniform(0.5, 3.5, 100)
     np.testing.assert_allclose(numbers_at(mesh, x, z), 1 + 2 * x - z + 0.5 * x * z, atol=0.03)
-    assert (mesh.get_coordinates().min(), mesh.get_coordinates().max()) == (
-        0,
-        5,
-    )  # as far as the cells of the nodes
+    assert mesh.get_extent() == pytest.approx((0, 5, 0, 4))  # as far as the cells of the nodes
+
+
+def test_nodes_at_uneven_distances_are_drawn_as_a_mesh_at_their_places():
+    even = plane(np.arange(20.0).reshape(4, 5))
+    ax = even.assign_coords(x=[0.5, 1.5, 2.5, 3.5, 6.5]).cg.plot()
+    (mesh,) = ax.collections
+    assert not ax.images
+    assert mesh.get_coordinates()[0, -1, 0] == pytest.approx(8.0)
+    (image,) = even.cg.plot().images
+    assert image.get_interpolation() == "nearest"
 
 
 def test_a_smooth_map_is_white_at_unknown_nodes_and_nothing_bleeds():
@@ -307,7 +320,7 @@ def test_a_smooth_map_is_white_at_unknown_nodes_and_nothing_bleeds():
     values = np.full((4, 5), 3.0)
     values[1, 2] = values[3, 0] = np.nan
     values[0, 4] = np.inf
-    (mesh,) = plane(values).cg.plot().collections
+    (mesh,) = map_and_arrows(plane(values).cg.plot())
     mesh.axes.figure.canvas.draw()
     z, x = (axis.ravel() + 0.5 for axis in np.mgrid[0:4, 0:5])
     at_nodes = numbers_at(mesh, x, z)
@@ -321,7 +334,7 @@ def test_the_rim_of_a_smooth_map_has_no_stairs(radius):
     """The rim of a disc is within half a spacing of its circle, and so smooth that its length is that of the circle."""
     z, x = np.mgrid[0:40, 0:40] + 0.5
     inside = np.hypot(x - 20, z - 20) < radius
-    (mesh,) = plane(np.where(inside, 1.0, np.nan)).cg.plot().collections
+    (mesh,) = map_and_arrows(plane(np.where(inside, 1.0, np.nan)).cg.plot())
     line = np.linspace(0.05, 39.95, 400)
     columns, rows = np.meshgrid(line, line)
     drawn = ~np.ma.getmaskarray(numbers_at(mesh, columns, rows))
@@ -333,27 +346,26 @@ def test_the_rim_of_a_smooth_map_has_no_stairs(radius):
     away = np.hypot(*(rim - 20).T)
     assert abs(away - radius).max() < 0.5
     assert np.hypot(*np.diff(rim, axis=0).T).sum() < 1.03 * 2 * np.pi * away.mean()
-    flat = plane(np.where(inside, 1.0, np.nan)).cg.plot(shading="flat").collections[0]
+    flat = map_and_arrows(plane(np.where(inside, 1.0, np.nan)).cg.plot(shading="flat"))[0]
     assert flat.get_array().count() == inside.sum()
 
 
 def test_straight_rims_stay_between_the_nodes():
-    (mesh,) = (
-        plane(np.where(np.arange(6)[:, None] < 3, np.ones((6, 8)), np.nan)).cg.plot().collections
-    )
+    half = np.where(np.arange(6)[:, None] < 3, np.ones((6, 8)), np.nan)
+    (mesh,) = map_and_arrows(plane(half).cg.plot())
     (rows,) = np.nonzero(~np.ma.getmaskarray(mesh.get_array()).any(axis=1))
-    assert mesh.get_coordinates()[rows[-1] + 1, 0, 1] == pytest.approx(3.0, abs=0.02)
+    assert 6 * (rows[-1] + 1) / len(mesh.get_array()) == pytest.approx(3.0, abs=0.02)
 
 
 def test_a_smooth_circle_has_no_seam():
     theta = (np.arange(12) + 0.5) * np.pi / 6
     values = np.broadcast_to(np.cos(theta), (6, 12))
     f = xr.Dataset({"density": (("r", "theta"), values)}, {"r": np.arange(6) + 0.5, "theta": theta})
-    (mesh,) = f.cg.plot().collections
+    (mesh,) = map_and_arrows(f.cg.plot())
     drawn = mesh.get_array()
     np.testing.assert_allclose(drawn[0], drawn[-1], atol=0.01)
     np.testing.assert_allclose(drawn[0], np.cos(theta[0]), atol=0.01)
-    (sector,) = f.isel(theta=slice(0, 6)).cg.plot().collections
+    (sector,) = map_and_arrows(f.isel(theta=slice(0, 6)).cg.plot())
     np.testing.assert_allclose(sector.get_array()[-1], values[0, 5])
 
 
@@ -363,30 +375,30 @@ def test_diverging_colours_only_where_both_signs_matter():
     values[0, :3] = -40  # fewer than 2 % of the nodes
     values[1:10, 0] = -4.0  # less than a tenth
     f = plane(values)
-    mesh = f.cg.plot().collections[0]
+    mesh = map_and_arrows(f.cg.plot())[0]
     assert (mesh.get_cmap().name, mesh.get_clim()) == ("viridis", (-40, 50))
     values[1:10, 0] = -6.0
-    mesh = plane(values).cg.plot().collections[0]
+    mesh = map_and_arrows(plane(values).cg.plot())[0]
     assert (mesh.get_cmap().name, mesh.get_clim()) == ("RdBu_r", (-50, 50))
-    mesh = plane(values).cg.plot(vmax=20).collections[0]
+    mesh = map_and_arrows(plane(values).cg.plot(vmax=20))[0]
     assert (mesh.get_cmap().name, mesh.get_clim()) == ("RdBu_r", (-20, 20))
     assert mesh.colorbar.extend == "both"
-    mesh = plane(values).cg.plot(vmin=0).collections[0]
+    mesh = map_and_arrows(plane(values).cg.plot(vmin=0))[0]
     assert (mesh.get_cmap().name, mesh.get_clim()) == ("viridis", (0, 50))
     empty = np.zeros((20, 20))  # where no grain is, the stress is zero
     empty[:2, 0], empty[:2, 1] = 1.0, -1.0
-    assert plane(empty).cg.plot().collections[0].get_cmap().name == "RdBu_r"
+    assert map_and_arrows(plane(empty).cg.plot())[0].get_cmap().name == "RdBu_r"
 
 
 def test_arrows_are_drawn_where_grains_move(result):
     """On maps of a vector, and on others if asked for; none where grains rest."""
     _, f = result
-    assert len(f.cg.plot("density").collections) == 1
-    assert len(f.cg.plot("velocity", component="z").collections) == 1
-    assert len(f.cg.plot("velocity").collections) == 2
-    assert len(f.cg.plot("velocity", arrows=None).collections) == 1
+    assert len(map_and_arrows(f.cg.plot("density"))) == 1
+    assert len(map_and_arrows(f.cg.plot("velocity", component="z"))) == 1
+    assert len(map_and_arrows(f.cg.plot("velocity"))) == 2
+    assert len(map_and_arrows(f.cg.plot("velocity", arrows=None))) == 1
     moving = xr.where(f.x < 2.5, f.velocity, 0.01 * f.velocity).transpose(*f.velocity.dims)
-    _, arrows = f.assign(velocity=moving).cg.plot("velocity").collections
+    _, arrows = map_and_arrows(f.assign(velocity=moving).cg.plot("velocity"))
     assert 0 < len(arrows.U) == (arrows.get_offsets()[:, 0] < 2.5).sum()
 
 
@@ -394,7 +406,7 @@ def test_a_colour_bar_is_as_high_as_its_map():
     for shape in ((40, 10), (10, 10), (10, 16), (10, 40)):
         ax = plane(np.arange(float(np.prod(shape))).reshape(shape)).cg.plot()
         ax.figure.canvas.draw()
-        bar = ax.collections[0].colorbar.ax
+        bar = map_and_arrows(ax)[0].colorbar.ax
         assert bar.get_window_extent().height == pytest.approx(
             ax.get_window_extent().height, rel=0.15
         )
@@ -441,7 +453,7 @@ def half_filled(names, **options):
 @pytest.mark.parametrize("names", [["pressure", "density"], ["pressure", "velocity"]])
 def test_air_is_white_for_pressure_too(names):
     f, is_reached = half_filled(names)
-    (mesh,) = f.cg.plot("pressure", shading="flat").collections
+    (mesh,) = map_and_arrows(f.cg.plot("pressure", shading="flat"))
     filled = ~np.ma.getmaskarray(mesh.get_array())
     np.testing.assert_array_equal(filled, is_reached.transpose("z", "x"))
     assert 0.1 < filled.mean() < 0.9
@@ -450,16 +462,16 @@ def test_air_is_white_for_pressure_too(names):
 def test_air_is_white_for_pressure_without_a_density():
     """Zeros that no number is beside are air, and other fields keep their zeros."""
     f, is_reached = half_filled(["pressure"])
-    (mesh,) = f.cg.plot("pressure", shading="flat").collections
+    (mesh,) = map_and_arrows(f.cg.plot("pressure", shading="flat"))
     drawn = mesh.get_array()
     high = (f.z > 8).to_numpy()
     assert np.ma.getmaskarray(drawn)[high].all()
     assert drawn[high == 0].count() >= int(is_reached.sum())
     zeros = np.zeros((4, 5))
     zeros[0] = 1.0
-    (mesh,) = plane(zeros, "speed").cg.plot(shading="flat").collections
+    (mesh,) = map_and_arrows(plane(zeros, "speed").cg.plot(shading="flat"))
     np.testing.assert_array_equal(mesh.get_array(), zeros)
-    (mesh,) = plane(np.zeros((4, 5)), "pressure").cg.plot(shading="flat").collections
+    (mesh,) = map_and_arrows(plane(np.zeros((4, 5)), "pressure").cg.plot(shading="flat"))
     assert mesh.get_array().count() == 20
 
 
@@ -471,7 +483,7 @@ def test_a_share_of_zero_is_not_air():
     f = ds.cg.coarse_grain("concentration", axes="xz", by="species", width=0.4)
     some = f.sel(phase=["0", "1"])
     for g, options in ((f, {"phase": 1}), (f.sel(phase="1"), {}), (some, {"phase": 1})):
-        (mesh,) = g.cg.plot("concentration", shading="flat", **options).collections
+        (mesh,) = map_and_arrows(g.cg.plot("concentration", shading="flat", **options))
         assert (mesh.get_array()[:, :3] == 0).any()
         assert (mesh.get_array() == 1).any()
 
@@ -483,7 +495,7 @@ def test_a_share_of_zero_is_not_air():
 def test_bars_of_logarithms_have_arrows_where_they_are_clipped(ends, extend):
     """Numbers without a logarithm are not drawn, and are not below the bar."""
     values = np.arange(80.0).reshape(8, 10) - 5
-    (mesh,) = plane(values).cg.plot(norm=LogNorm(**ends)).collections
+    (mesh,) = map_and_arrows(plane(values).cg.plot(norm=LogNorm(**ends)))
     assert mesh.colorbar.extend == extend
 
 
@@ -576,7 +588,7 @@ def test_the_label_of_each_field_has_its_whole_unit_in_one_line(name):
 @pytest.mark.parametrize("name", LONGEST)
 def test_long_labels_fit_the_picture(name):
     f, wanted = field_plane(name)
-    bar = f.cg.plot(name, shading="flat").collections[0].colorbar.ax
+    bar = map_and_arrows(f.cg.plot(name, shading="flat"))[0].colorbar.ax
     line = f.isel(x=0).cg.plot(name)
     assert raised(bar.get_ylabel().replace("\n", " ")) == wanted
     for axis, side in ((bar.yaxis, "height"), (line.xaxis, "width")):
@@ -591,7 +603,7 @@ def test_long_labels_fit_the_picture(name):
 
 def test_derived_fields_have_their_own_labels(result):
     _, f = result
-    bar = f.cg.plot("velocity").collections[0].colorbar.ax
+    bar = map_and_arrows(f.cg.plot("velocity"))[0].colorbar.ax
     assert raised(bar.get_ylabel()) == "magnitude of velocity [m s⁻¹]"
     mean = f.cg.profile("z").cg.time_average()
     assert raised(mean.cg.plot("velocity", component="x").get_xlabel()) == "velocity, x [m s⁻¹]"

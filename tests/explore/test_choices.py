@@ -224,7 +224,7 @@ def test_colours_and_arrows_of_the_page_are_in_the_call():
     axes = ("x", "z")
     choice = Choice("density", "map", axes, arrows="velocity", cmap="plasma", vmin=0.5, vmax=9.0)
     ax, _ = run(pictures.call(choice), ds=ds)
-    mesh, arrows = ax.collections
+    (mesh,), (arrows,) = ax.images, ax.collections
     assert mesh.get_clim() == (0.5, 9.0)
     assert mesh.get_cmap().name == "plasma"
     drawn = segments_of(pictures.picture(choice), "density")
@@ -233,7 +233,7 @@ def test_colours_and_arrows_of_the_page_are_in_the_call():
     np.testing.assert_allclose(drawn["y1"] - drawn["y0"], arrows.V / arrows.scale, atol=1e-12)
     logarithmic = Choice("density", "map", axes, is_logarithmic=True, arrows=None)
     ax, _ = run(pictures.call(logarithmic), ds=ds)
-    assert type(ax.collections[0].norm).__name__ == "LogNorm"
+    assert type(ax.images[0].norm).__name__ == "LogNorm"
     pyplot.close("all")
 
 

