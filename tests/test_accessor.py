@@ -253,7 +253,7 @@ def test_balance_refuses_presets_and_takes_bodies_and_skips(scene):
 
 
 PICTURES = {
-    "plot": lambda f, fc, ds, **at: f.cg.plot("density", **at).collections[0].get_array(),
+    "plot": lambda f, fc, ds, **at: f.cg.plot("density", **at).images[0].get_array(),
     "to_pyvista": lambda f, fc, ds, **at: f.cg.to_pyvista(**at)["density"],
     "plot_chains": lambda f, fc, ds, **at: fc.cg.plot_chains(**at).collections[-1].get_array(),
     "plot_rose": lambda f, fc, ds, **at: [p.get_height() for p in fc.cg.plot_rose(**at).patches],

@@ -25,7 +25,7 @@ def k_core(index_i, index_j, weight, least, degree, kept):
 
     Parameters
     ----------
-    row_i, row_j : (n,)
+    index_i, index_j : (n,)
         Pairs; negative where a partner is not in the scene.
     weight : (n,)
         1 for pairs that count, 0 for repeated ones.
@@ -78,7 +78,7 @@ def join_clusters(index_i, index_j, crossed, parent, moved, winds):
 
     Parameters
     ----------
-    row_i, row_j : (n,)
+    index_i, index_j : (n,)
         Particles that contacts connect; pairs with a negative index are left out.
     crossed : (n, k)
         Periods between particle j and the image of it that touches i.

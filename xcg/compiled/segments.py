@@ -70,7 +70,7 @@ class IndexedContacts(NamedTuple):
 
     Attributes
     ----------
-    row_i, row_j : (n,)
+    index_i, index_j : (n,)
         Particles of each contact; negative where a partner is not in the scene.
     point : (n, 3)
         Contact point.
