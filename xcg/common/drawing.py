@@ -328,8 +328,8 @@ def _distance_from_rim(finite: NDArray, *, is_circle: bool) -> NDArray:
     It is positive at finite nodes and negative at others, whatever the rounding. The first node
     follows the last one upwards on a circle.
     """
-    if finite.all() or not finite.any():
-        return np.where(finite, 1.0, -1.0)
+    if not finite.any():
+        return np.full(finite.shape, -1.0)
     from scipy.ndimage import distance_transform_edt, gaussian_filter  # slow to import
 
     turn = 0

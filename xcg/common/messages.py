@@ -243,6 +243,10 @@ class Once:
                 del self._said[next(iter(self._said))]
         return True
 
+    def has_asked(self, about: str) -> bool:
+        """Return whether the call asked `is_new` about something before."""
+        return (self.key, about) in self._said
+
     @contextmanager
     def active(self) -> Iterator[None]:
         """Let `warn_once` in this thread speak for this call."""

@@ -6,12 +6,14 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import active_call, warn_once, warn_user
 from xcg.fields.formulas.doubts import UNKNOWN
+from xcg.fields.formulas.field import Support
 from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR, UNIT_OF_RATES
 from xcg.fields.formulas.rules import takes_stress_of_step
 from xcg.fields.plan import Plan
@@ -25,6 +27,7 @@ from xcg.scene.schema import COMPONENTS, Frame
 _CONSIDERABLE = 0.05  # share of the pressure
 _CONTRADICTED = 0.3  # share of a floor below which what nodes show is no noise of random contacts
 _OF_LATTICE = 1e12  # contacts as good as independent ones, as they repeat without scatter
+_FLOORS = "floors"  # what the warning about them is about
 _ALIKE = 0.3  # difference of a slope of the velocities from the rate of the box
 _SLACK = 1.2  # of a volume fraction above 1 that one grain is the cause of
 _SURE = 5.0  # standard errors of such a slope
@@ -93,8 +96,8 @@ class ComputedStep:
                 effects |= self._lost_flux()
                 self._warn_of_flow_in_temperatures()
                 self._warn_of_lost_variances()
-            if plan.support is not None and (plan.named or effects):
-                effects |= self._floors()
+            if (plan.named or effects) and not call.has_asked(f"few grains: {_FLOORS}"):
+                effects |= self._floors(plan.support)
             texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
             if texts:
                 self._warn_of_few_grains(texts)
@@ -109,31 +112,42 @@ class ComputedStep:
             f"of the result, average along axes (axes=), or increase width= (it is {self.plan.kernel.width:.3g})"
         )
 
-    def _floors(self) -> dict[str, str]:
+    def _floors(self, support: Support | None) -> dict[str, str]:
         """Return which norms and eigenvalues are noise, unless all are small or contradict the step."""
-        support = self.plan.support
-        assert support is not None
-        if Particles(self.frame, self.plan.setup, self.lattice, is_volume=False).is_lattice:
-            support = replace(support, contacts=_OF_LATTICE)
+        if support is None:
+            return {}
         if {*_OF_READ_CONTACTS} & {*self.plan.requested}:
             branches, forces = spread_of_contacts(self.frame, self.lattice)
             support = replace(support, branch_spread=branches, tangential=forces)
+        texts = self._texts_of_floors(support)
+        if not texts:
+            return {}
+        # looks at pairs of grains, so that it comes last
+        if Particles(self.frame, self.plan.setup, self.lattice, is_volume=False).is_lattice:
+            texts = self._texts_of_floors(replace(support, contacts=_OF_LATTICE))
+        if not texts:
+            return {}
+        return {_FLOORS: f"{', '.join(texts)} where the true value is 0"}
+
+    def _texts_of_floors(self, support: Support) -> list[str]:
+        """Return the floors that are considerable, and that the values at nodes do not contradict."""
         texts = []
         for name, (floor, field) in floors_of(self.plan, support).items():
+            if not floor > CONSIDERABLE_FLOOR * field.usual:
+                continue
             values = self.fields[name]
             finite = values[np.isfinite(values)]
             shown = float(np.median(finite)) if finite.size else np.nan
             if field.floor_units == UNIT_OF_RATES:
-                noise = floor * self._fluctuation() / support.diameter
+                noise = floor * self._fluctuation / support.diameter
                 is_small = noise <= CONSIDERABLE_FLOOR * shown
             else:
                 is_small = shown < _CONTRADICTED * floor
-            if floor > CONSIDERABLE_FLOOR * field.usual and not is_small:
+            if not is_small:
                 texts.append(f"{name} is about {field.floor_text(floor)}")
-        if not texts:
-            return {}
-        return {"floors": f"{', '.join(texts)} where the true value is 0"}
+        return texts
 
+    @cached_property
     def _fluctuation(self) -> float:
         """Return the root of the temperature of the step (m s-1), 0 without grains."""
         free = without_frozen(self.frame)
