@@ -21,7 +21,7 @@ from xcg.fields.pressures import Pressures, pressures_of, spread_of_contacts
 from xcg.fields.support import floors_of
 from xcg.scene.frame import without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity_sample import Particles
+from xcg.scene.sanity_sample import Particles, sample_of
 from xcg.scene.schema import COMPONENTS, Frame
 
 _CONSIDERABLE = 0.05  # share of the pressure
@@ -136,7 +136,8 @@ class ComputedStep:
             if not floor > CONSIDERABLE_FLOOR * field.usual:
                 continue
             values = self.fields[name]
-            finite = values[np.isfinite(values)]
+            sampled = values[sample_of(len(values))]
+            finite = sampled[np.isfinite(sampled)]
             shown = float(np.median(finite)) if finite.size else np.nan
             if field.floor_units == UNIT_OF_RATES:
                 noise = floor * self._fluctuation / support.diameter
