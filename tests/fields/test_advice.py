@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import xcg
 from tests import raise_if_dask_computes, truths
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
+from xcg.scene.sanity_sample import Particles
 from xcg.scene.scene import Scene
 
 NAMES = ["friction_coefficient", "inertial_number"]
@@ -167,6 +169,18 @@ def test_the_floor_of_a_shear_rate_is_relative_to_the_fluctuations():
     floor = float(re.search(r"shear_rate is about ([\d.]+) sqrt\(T\) / d43", text)[1])
     f = ds.cg.coarse_grain("shear_rate", width=1.5)  # T = d43 = 1
     assert floor == pytest.approx(float(f.shear_rate.mean()), rel=0.15)
+
+
+def test_the_pairs_of_one_step_are_looked_at(monkeypatch):
+    steps = []
+    neighbours = Particles.neighbours.func
+    counted = cached_property(lambda grains: steps.append(grains) or neighbours(grains))
+    counted.__set_name__(Particles, "neighbours")
+    monkeypatch.setattr(Particles, "neighbours", counted)
+    ds = truths.gas(4)
+    steps.clear()
+    assert len(said(ds, "shear_rate", width=1.5)) == 1
+    assert len(steps) == 1
 
 
 def test_explain_shows_the_floors():
