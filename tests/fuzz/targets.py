@@ -231,29 +231,6 @@ def _use_xyz(folder: Path) -> None:
     fields_of(xcg.open_scene(folder / "p.xyz", names=names, timestep=0.1))
 
 
-def _h5md(folder: Path) -> dict[str, bytes]:
-    x = np.array([[0.4, 0.5, 0.5], [0.59, 0.5, 0.5]])
-    with h5py.File(folder / "h.h5", "w") as file:
-        file.create_group("h5md").attrs["version"] = [1, 1]
-        group = file.create_group("particles/all")
-        for name, values in (("position", np.stack([x, x])), ("velocity", np.ones((2, 2, 3)))):
-            group[f"{name}/value"] = values
-            group[f"{name}/step"] = [0, 10]
-            group[f"{name}/time"] = [0.0, 0.5]
-        group["diameter"] = [0.2, 0.2]
-        ids = group.create_dataset("id/value", (2, 2), "i4", fillvalue=-1)
-        ids[:] = [[1, 2], [2, 1]]
-        group["id/step"] = 10
-        box = group.create_group("box")
-        box.attrs["boundary"] = np.array(["periodic", "periodic", "none"], "S")
-        box["edges"] = [[2.0, 0, 0], [0.1, 2, 0], [0, 0, 2]]
-    return {"h.h5": (folder / "h.h5").read_bytes()}
-
-
-def _use_h5md(folder: Path) -> None:
-    fields_of(xcg.open_scene(folder / "h.h5", density=2.0, shear_rate={}))
-
-
 def _edem(folder: Path) -> dict[str, bytes]:
     with h5py.File(folder / "0.h5", "w") as file:
         for name, first in (("0", 0), ("1", 2)):
@@ -542,7 +519,6 @@ TARGETS = {
     "csv": Target(_csv, _use_csv),
     "hdf5": Target(_hdf5, _use_hdf5),
     "xyz": Target(_xyz, _use_xyz),
-    "h5md": Target(_h5md, _use_h5md),
     "edem": Target(_edem, _use_edem),
     "text": Target(_text, _use_text),
     "names": Target(names.seeds, names.use, damage=names.damage),
