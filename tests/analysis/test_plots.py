@@ -315,6 +315,18 @@ def test_nodes_at_uneven_distances_are_drawn_as_a_mesh_at_their_places():
     assert image.get_interpolation() == "nearest"
 
 
+@pytest.mark.parametrize("shading", ["smooth", "flat"])
+def test_maps_side_by_side_in_one_pair_of_axes_are_shown_whole(shading):
+    f = plane(np.arange(20.0).reshape(4, 5))
+    ax = f.isel(x=slice(0, 2)).cg.plot(shading=shading)
+    f.isel(x=slice(2, None)).cg.plot(shading=shading, ax=ax)
+    assert ax.get_xlim() == pytest.approx((0, 5))
+    assert ax.get_ylim() == pytest.approx((0, 4))
+    ax.set_xlim(1, 3)
+    f.cg.plot(shading=shading, ax=ax)
+    assert ax.get_xlim() == (1, 3)
+
+
 def test_a_smooth_map_is_white_at_unknown_nodes_and_nothing_bleeds():
     """Beside unknown nodes the numbers are those of the known ones."""
     values = np.full((4, 5), 3.0)

@@ -187,6 +187,7 @@ class Frames:
                 interpolation="nearest",
                 **self.keywords,
             )
+            ax.autoscale_view()  # an image sets the limits to its own extent
         else:
             mesh = ax.pcolormesh(x, y, values, **self.keywords)
         if self.fastest > 0:
