@@ -354,7 +354,7 @@ TABLE = [
         "test_a_jet_is_no_fluctuation",
     ),
     Mutation(
-        "fields/computed_step.py", "slope = float(x @ v) / squares", "slope = float(x @ v)",
+        "fields/advice.py", "slope = float(x @ v) / squares", "slope = float(x @ v)",
         "test_a_compressed_box_holds_the_flow_of_its_images",
     ),
     Mutation(
@@ -394,7 +394,7 @@ TABLE = [
         "test_a_weak_shear_of_few_grains_is_known_by_its_mean_slope",
     ),
     Mutation(
-        "fields/computed_step.py", "shares = by_component / np.maximum(normal, mean)", "shares = by_component / normal",
+        "fields/advice.py", "shares = by_component / np.maximum(normal, mean)", "shares = by_component / normal",
         "test_few_grains_without_flow_and_a_component_that_is_small_are_silent",
     ),
     Mutation(
@@ -414,7 +414,7 @@ TABLE = [
         "test_norms_of_averages_of_few_grains_warn_of_their_floor",
     ),
     Mutation(
-        "fields/computed_step.py", "share = total / (total + kinetic)", "share = total / kinetic",
+        "fields/advice.py", "share = total / (total + kinetic)", "share = total / kinetic",
         "test_a_temperature_that_holds_the_flow_along_an_averaged_axis_names_its_share",
     ),
     Mutation(
@@ -478,21 +478,21 @@ TABLE = [
         "_averaged_over(scene, plan)", "test_empty_parts_of_a_box_hold_no_grains",
     ),
     Mutation(
-        "fields/computed_step.py", "contacts=_OF_LATTICE", "contacts=support.contacts",
+        "fields/advice.py", "contacts=_OF_LATTICE", "contacts=support.contacts",
         "test_contacts_of_a_lattice_have_no_noise",
     ),
     Mutation(
         "fields/pressures.py", "* rows / every", "* rows", "test_pressures_of_a_crystal_that_fluctuates",
     ),
     Mutation(
-        "fields/computed_step.py", "share = added / (added + true)", "share = added",
+        "fields/advice.py", "share = added / (added + true)", "share = added",
         "test_no_variation_is_named_of_gases_sheared_boxes_and_slow_flows",
     ),
     Mutation(
         "fields/advice.py", "/ support.grains < _BIAS", "< _BIAS", "test_warnings_about_mixtures_name_the_way_out",
     ),
     Mutation(
-        "fields/computed_step.py", "zip(self.plan.groups, shares[1:]", "zip(self.plan.groups, shares[:-1]",
+        "fields/advice.py", "zip(self.plan.groups, shares[1:]", "zip(self.plan.groups, shares[:-1]",
         "test_the_share_of_unknown_temperatures_is_that_of_the_nodes",
     ),
     Mutation(
@@ -500,7 +500,7 @@ TABLE = [
         "test_the_floor_in_rings_is_that_of_the_grains_around_the_axis",
     ),
     Mutation(
-        "fields/computed_step.py", "if not lost > _CONSIDERABLE * true",
+        "fields/advice.py", "if not lost > _CONSIDERABLE * true",
         "if not 1 / plan.support.grains > _CONSIDERABLE",
         "test_one_step_warns_of_the_kinetic_stress_that_it_lacks",
     ),

@@ -38,7 +38,7 @@ INSIDE = {
         ["segments", "ring_means"],
         ["deposit"],
         ["support"],
-        ["advice", "computed_step"],
+        ["advice"],
         ["evaluate"],
         ["accessible", "presets"],
         ["coarse_grain"],

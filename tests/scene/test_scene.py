@@ -8,7 +8,6 @@ from tests import raise_if_dask_computes
 from xcg import SceneError
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
-from xcg.scene import scene as scenes
 from xcg.scene.scene import Scene
 
 FACTS = (
@@ -47,8 +46,8 @@ def test_grains_are_measured_once_and_only_where_sizes_are_asked_for(monkeypatch
     """Printing a scene and fields with a width and bounds of their own look at no grain."""
     ds = xcg.datasets.random_scene(40, periodic="xyz")
     looks = []
-    measures_of = scenes.measures_of
-    monkeypatch.setattr(scenes, "measures_of", lambda ds: looks.append(1) or measures_of(ds))
+    ends = Scene._ends
+    monkeypatch.setattr(Scene, "_ends", lambda *args: looks.append(1) or ends(*args))
     print(ds.cg)
     ds.cg.derive("coordination_number")
     assert looks == []

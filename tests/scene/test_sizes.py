@@ -6,7 +6,8 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.scene.sizes import sizes_of, with_measures
+from xcg.scene.scene import Scene
+from xcg.scene.sizes import sizes_of
 
 AXES = ("x", "y", "z")
 
@@ -226,6 +227,6 @@ def test_sizes_of_whole_numbers_count_each_particle(ds):
     diameter = xr.full_like(ds.diameter, 1).astype(int)
     diameter[:, 0] = 9
     sizes = xcg.scene_from_arrays(ds.position.values, diameter=diameter.values, density=1.0).attrs
-    assigned = with_measures(ds.assign(diameter=diameter)).attrs
+    assigned = Scene(ds.assign(diameter=diameter)).measures
     for name in ("d43", "d32", "drms", "dmin", "dmax"):
         np.testing.assert_allclose(assigned[name], sizes[name], rtol=1e-12)

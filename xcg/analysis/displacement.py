@@ -25,7 +25,6 @@ from xcg.fields.request import SharedOptions, takes
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.scene import Scene
 from xcg.scene.schema import MOTION, Variable
-from xcg.scene.sizes import with_measures
 from xcg.scene.times import (
     require_known_times,
     require_rising_times,
@@ -165,8 +164,7 @@ def displacement(scene: Scene, request: DisplacementRequest) -> xr.Dataset:
     scene.require(("mass",), "displacement")
     scene.require_ids("displacement")
     call = request.call("displacement")
-    measured = Scene(with_measures(scene.ds))
-    scene, request = prepare(measured, replace(request, lag=int(request.lag)))
+    scene, request = prepare(scene.with_measures(), replace(request, lag=int(request.lag)))
     if request.accumulate:
         refuse_cylindrical(scene.ds, "displacement(accumulate=True)")
         scene = Scene(scene.ds.isel(time=slice(None, None, request.lag)))

@@ -22,7 +22,6 @@ from xcg.fields.request import Preset, Request, SharedOptions, takes
 from xcg.fields.support import effective_count, text_of_floors
 from xcg.scene.bodies import group_bodies
 from xcg.scene.scene import Scene
-from xcg.scene.sizes import with_measures
 from xcg.steps.analysis import run
 
 # names of other programs: from a request in them to one in names of xcg, and what turns its result
@@ -226,7 +225,7 @@ def _in_frame(
 ) -> tuple[Scene, AnyRequest]:
     """Turn a scene into a frame, unless it is in one, and the axes of a request with it."""
     if not scene.cylindrical:
-        ds = with_measures(scene.ds)
+        ds = scene.with_measures().ds
         if isinstance(frame, Cylindrical):
             check_axis(ds, frame)
         scene = Scene(in_frame(ds, frame))

@@ -17,8 +17,7 @@ from xcg.fields.plan import Plan
 from xcg.fields.ring_means import average_over_rings, reference_of_rings
 from xcg.fields.segments import along_branches
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
-from xcg.fields.sums.nodes import Block, lists_of
-from xcg.fields.sums.smoothing import DIAMETER, Smoothing
+from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, lists_of
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import VARIABLES, Frame

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import for_each
-from xcg.fields.computed_step import ComputedStep
+from xcg.fields.advice import ComputedStep
 from xcg.fields.deposit import Sums
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options

@@ -16,8 +16,7 @@ from xcg.compiled.points import NONE, Grains
 from xcg.compiled.reach import spatial_order
 from xcg.fields.plan import Plan
 from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
-from xcg.fields.sums.nodes import Block, triple
-from xcg.fields.sums.smoothing import DIAMETER, Smoothing
+from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, triple
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice

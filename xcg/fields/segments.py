@@ -27,8 +27,7 @@ from xcg.compiled.segments import (
 )
 from xcg.fields.passes import Columns, Fill, Pass, StepArrays, alike
 from xcg.fields.sums.moments import Moment
-from xcg.fields.sums.nodes import Block, lists_of
-from xcg.fields.sums.smoothing import DIAMETER, Smoothing
+from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, lists_of
 from xcg.scene.schema import Frame
 
 # Segments of more contacts than this are not kept, as each takes 80 bytes.

@@ -13,8 +13,12 @@ from numpy.typing import NDArray
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import SceneError, plain
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, COMPONENTS, Setup, known_without_reading
-from xcg.scene.sizes import SIZES, measures_of
+from xcg.scene.schema import BOX, COMPONENTS, PADDING, Frame, Setup, known_without_reading
+from xcg.scene.sizes import MEASURES, SIZES, measure_frames, without_measures
+
+# attributes that are the range of a variable, and all that follow from it
+_RANGES = {"position": ("particle_lower", "particle_upper"), "diameter": ("dmin", "dmax")}
+_OF_VARIABLES = {"position": _RANGES["position"], "diameter": SIZES}
 
 
 class Scene:
@@ -67,8 +71,52 @@ class Scene:
 
     @cached_property
     def measures(self) -> dict[str, Any]:
-        """Sizes and extent that hold for the particles, by the names of attributes."""
-        return measures_of(self.ds)
+        """Sizes and extent that hold for the particles, by the names of attributes.
+
+        Variables may have been replaced since they were measured. Those in memory are looked at:
+        where grains of the first or the last step lie outside the extent, the extent of these steps
+        is measured anew, and the sizes where diameters lie outside their range: positions say
+        nothing of sizes. Attributes of lazy variables that were computed from others are left out.
+        """
+        ds = self.ds
+        measures = {name: ds.attrs[name] for name in MEASURES if name in ds.attrs}
+        present = [name for name in _OF_VARIABLES if name in ds]
+        for name in present:
+            if not known_without_reading(ds, name):
+                for attr in _OF_VARIABLES[name]:
+                    measures.pop(attr, None)
+        ends = self._ends(("particle_id", *present, "mass"))
+        outside = [
+            name for name in present if not all(_within(name, frame, measures) for frame in ends)
+        ]
+        if outside:
+            anew = measure_frames(ends)
+            for name in outside:
+                measures |= {attr: anew[attr] for attr in _OF_VARIABLES[name] if attr in anew}
+        return measures
+
+    def _ends(self, names: Sequence[str]) -> list[Frame]:
+        """Return the variables in memory, of the particles of the first and of the last step."""
+        arrays = {}
+        for name in names:
+            values = self.ds.variables.get(name)
+            if values is not None and "time" in values.dims and is_in_memory(values):
+                arrays[name] = values.transpose("time", "particle", ...).to_numpy()
+        if "particle_id" not in arrays:
+            return []
+        frames = []
+        count = self.ds.sizes["time"]
+        for t in sorted({0, count - 1} & set(range(count))):
+            held = arrays["particle_id"][t] != PADDING
+            particles: Any = (
+                slice(None) if held.all() else held
+            )  # without a copy where they are all
+            frames.append({name: values[t][particles] for name, values in arrays.items()})
+        return frames
+
+    def with_measures(self) -> Scene:
+        """Return the scene with the sizes and the extent that hold for its particles as attributes."""
+        return Scene(without_measures(self.ds).assign_attrs(self.measures))
 
     @cached_property
     def sizes(self) -> dict[str, float]:
@@ -284,6 +332,20 @@ class Scene:
                 "names={'...': 'particle_id'}, or give particle_id= to xcg.scene_from_arrays; if rows "
                 "are the same particles in all steps, say so by del ds.particle_id.attrs['rows']"
             )
+
+
+def _within(name: str, frame: Frame, ranges: Mapping[Any, Any]) -> bool:
+    """Return whether positions or diameters of a frame lie inside the range of them that is known."""
+    values = frame.get(name)
+    if values is None or not len(values):
+        return True
+    low, high = _RANGES[name]
+    if low not in ranges:
+        return False
+    lower, upper = (np.ravel(ranges[end]) for end in (low, high))
+    small = 1e-9 * np.abs([lower, upper]).max()
+    inside = zip(np.atleast_2d(values.T), lower - small, upper + small, strict=True)
+    return all(x.min() >= least and x.max() <= most for x, least, most in inside)
 
 
 def _way_to(missing: Set[str], present: Iterable[str]) -> str:

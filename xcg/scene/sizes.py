@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.compat import is_in_memory
-from xcg.scene.schema import MAX_GROUPS, PADDING, Frame, known_without_reading
+from xcg.scene.schema import MAX_GROUPS, Frame
 
 SIZE_NAMES = {
     "d43": "volume-weighted mean diameter",
@@ -142,73 +141,10 @@ def _different(values: NDArray) -> NDArray:
     return np.unique(values)
 
 
-_RANGES = {"position": ("particle_lower", "particle_upper"), "diameter": ("dmin", "dmax")}
-_ATTRIBUTES = {"position": _RANGES["position"], "diameter": SIZES}
-MEASURES = (*_RANGES["position"], *SIZES)  # attributes of a scene
-
-
-def measures_of(ds: xr.Dataset) -> dict[str, Any]:
-    """Return the sizes and the extent that hold for the particles of a scene, by the names of attributes.
-
-    Nothing is read. Variables may have been replaced since they were measured. Those in memory are
-    looked at: where grains of the first or the last step lie outside the extent, the extent of
-    these steps is measured anew, and the sizes where diameters lie outside their range: positions say
-    nothing of sizes. Attributes of lazy variables that were computed from others are left out.
-    """
-    measures = {name: ds.attrs[name] for name in MEASURES if name in ds.attrs}
-    present = [name for name in _ATTRIBUTES if name in ds]
-    for name in present:
-        if not known_without_reading(ds, name):
-            for attr in _ATTRIBUTES[name]:
-                measures.pop(attr, None)
-    ends = _first_and_last(ds, ("particle_id", *present, "mass"))
-    outside = [
-        name for name in present if not all(_within(name, frame, measures) for frame in ends)
-    ]
-    if outside:
-        anew = measure_frames(ends)
-        for name in outside:
-            measures |= {attr: anew[attr] for attr in _ATTRIBUTES[name] if attr in anew}
-    return measures
-
-
-def with_measures(ds: xr.Dataset) -> xr.Dataset:
-    """Return a scene whose attributes are the sizes and the extent that hold for its particles."""
-    return without_measures(ds).assign_attrs(measures_of(ds))
+MEASURES = ("particle_lower", "particle_upper", *SIZES)  # attributes of a scene
 
 
 def without_measures(ds: xr.Dataset) -> xr.Dataset:
     """Return a scene without attributes of sizes and extent."""
     kept = {name: value for name, value in ds.attrs.items() if name not in MEASURES}
     return ds.drop_attrs(deep=False).assign_attrs(kept)
-
-
-def _first_and_last(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
-    """Return the variables in memory, of the particles of the first and of the last step."""
-    arrays = {}
-    for name in names:
-        values = ds.variables.get(name)
-        if values is not None and "time" in values.dims and is_in_memory(values):
-            arrays[name] = values.transpose("time", "particle", ...).to_numpy()
-    if "particle_id" not in arrays:
-        return []
-    frames = []
-    for t in sorted({0, ds.sizes["time"] - 1} & set(range(ds.sizes["time"]))):
-        held = arrays["particle_id"][t] != PADDING
-        particles: Any = slice(None) if held.all() else held  # without a copy where they are all
-        frames.append({name: values[t][particles] for name, values in arrays.items()})
-    return frames
-
-
-def _within(name: str, frame: Frame, ranges: Mapping[Any, Any]) -> bool:
-    """Return whether positions or diameters of a frame lie inside the range of them that is known."""
-    values = frame.get(name)
-    if values is None or not len(values):
-        return True
-    low, high = _RANGES[name]
-    if low not in ranges:
-        return False
-    lower, upper = (np.ravel(ranges[end]) for end in (low, high))
-    small = 1e-9 * np.abs([lower, upper]).max()
-    inside = zip(np.atleast_2d(values.T), lower - small, upper + small, strict=True)
-    return all(x.min() >= least and x.max() <= most for x, least, most in inside)

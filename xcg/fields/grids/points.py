@@ -19,7 +19,7 @@ from xcg.compiled.cells import PointCells
 from xcg.compiled.reach import PAD, BlockNodes
 from xcg.compiled.rings import Rings
 from xcg.fields.grids.grid import MAX_NODES, check_places
-from xcg.fields.sums.nodes import BLOCK_NODES, Cutoffs, Nodes, triple
+from xcg.fields.sums.nodes import BLOCK_NODES, Nodes, Smoothing, triple
 from xcg.scene.schema import COMPONENTS
 
 # Cells hold about this many points, but are no wider and no narrower than these shares of the
@@ -89,9 +89,9 @@ class PointBlock:
         """Number of points."""
         return int(self.cells.start[-1])
 
-    def nodes(self, cutoffs: Cutoffs) -> BlockNodes:
+    def nodes(self, smoothing: Smoothing) -> BlockNodes:
         """Return the points as loops take them, in cutoffs; the origin is theirs."""
-        share = self.unit / cutoffs.cutoff
+        share = self.unit / smoothing.cutoff
         begin = self.lower * share
         end = self.upper * share
         cells = self.cells
@@ -99,7 +99,7 @@ class PointBlock:
             x, y, z = (place * share for place in cells.points)
             size = np.array(cells.size) * share
             cells = _cells((x, y, z), cells.start, begin, end, size, cells.shape)
-        return BlockNodes(triple(begin), triple(end), *cutoffs.surroundings, cells=cells)
+        return BlockNodes(triple(begin), triple(end), *smoothing.surroundings, cells=cells)
 
 
 def _cells(
