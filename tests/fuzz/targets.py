@@ -37,7 +37,6 @@ from tests.readers.public.test_vtk import (
     vertices,
     write,
     write_pieces,
-    write_temporal,
 )
 from tests.readers.public.test_vtk import write_pvd as write_parts
 
@@ -335,14 +334,6 @@ def _use_parallel(folder: Path) -> None:
         raise faults[0]
 
 
-def _vtkhdf(folder: Path) -> dict[str, bytes]:
-    files = {}
-    for kind in ("PolyData", "UnstructuredGrid"):
-        files[f"{kind}.vtkhdf"] = write_temporal(folder / f"{kind}.vtkhdf", kind).read_bytes()
-    write(vertices(vtkPolyData, time=0.5), folder / "one.vtkhdf", "vtkhdf")
-    return files | {"one.vtkhdf": (folder / "one.vtkhdf").read_bytes()}
-
-
 def _liggghts(folder: Path) -> dict[str, bytes]:
     columns = " ".join(f"c_1[{k}]" for k in range(1, 14))
     particles = dumps.dump_text(columns="id type x y z vx vy vz radius density", rows=[
@@ -526,7 +517,6 @@ TARGETS = {
     "vtu": Target(_vtu, _use_vtu),
     "legacy_vtk": Target(_legacy, _use_each("*.vtk")),
     "parallel_vtk": Target(_parallel, _use_parallel),
-    "vtkhdf": Target(_vtkhdf, _use_each("*.vtkhdf")),
     "liggghts": Target(_liggghts, _use_liggghts),
     "mercury": Target(_mercury, _use_mercury),
     **({"parquet": Target(_parquet, _use_parquet)} if find_spec("pyarrow") else {}),
