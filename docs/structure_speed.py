@@ -129,7 +129,7 @@ def main() -> None:
     count = 5000 if quick else 20_000
     lines = ["| | xcg, µs a particle | freud | OVITO |", "|---|---|---|---|"]
     for case, runs in cases(count).items():
-        least = least_times(runs, 2 if quick else 4)
+        least = least_times(runs, 2 if quick else 7)
         own = least.pop("xcg")
         others = [f"{least[n] / own:.2g} x" if n in least else "-" for n in ("freud", "OVITO")]
         lines.append(f"| {case} | {1e6 * own / count:.3g} | {' | '.join(others)} |")

@@ -769,7 +769,7 @@ TABLE = [
         "test_harmonics_keep_their_digits_at_the_pole",
     ),
     Mutation(
-        "analysis/bond_order.py", "reach = min(float(alone.max()), half)", "reach = 0.1 * half",
+        "analysis/bond_order.py", "reach = min(float(distance.max()), half)", "reach = 0.1 * half",
         "test_order_is_that_of_brute_force",
     ),
     Mutation(

@@ -47,6 +47,32 @@ def test_order_is_that_of_brute_force(lattice, arguments):
         )
 
 
+@pytest.mark.parametrize(
+    ("periodic", "lattice"), [("xy", None), ("xy", {"xy": 2.0}), ("x", None), ("", None)]
+)
+@pytest.mark.parametrize("arguments", [{"neighbours": 1}, {"neighbours": 6}, {"r_max": 1.0}])
+def test_order_in_a_plane_is_that_of_brute_force(periodic, lattice, arguments):
+    ds = gas(1, 90, periodic, 2, lattice=lattice)
+    order = ds.cg.bond_order([4, 5, 6], **arguments)
+    d, _ = pair_vectors(ds, {})
+    r = np.linalg.norm(d, axis=-1)
+    np.fill_diagonal(r, np.inf)
+    near = r < arguments.get("r_max", 0.0)
+    if "neighbours" in arguments:
+        near = r.argsort(axis=1).argsort(axis=1) < arguments["neighbours"]
+    turn = np.arctan2(d[..., 1], d[..., 0])
+    for degree in (4, 5, 6):
+        waves = np.where(near, np.exp(1j * degree * turn), 0.0)
+        with np.errstate(invalid="ignore"):
+            means = waves.sum(axis=1) / near.sum(axis=1)
+        np.testing.assert_allclose(order[f"psi{degree}"][0], np.abs(means), rtol=0, atol=1e-13)
+        np.testing.assert_allclose(
+            np.exp(1j * degree * order[f"psi{degree}_angle"][0]) * np.abs(means), means, atol=1e-13
+        )
+        whole = np.abs(waves.sum()) / near.sum()
+        assert float(order[f"global_psi{degree}"][0]) == pytest.approx(whole, abs=1e-13)
+
+
 def test_harmonics_are_those_of_scipy():
     special = pytest.importorskip("scipy.special")
     if not hasattr(special, "sph_harm_y"):
@@ -115,6 +141,27 @@ def test_a_triangular_lattice_has_one_direction():
     np.testing.assert_allclose(order.psi6, 1, atol=1e-12)
     np.testing.assert_allclose(order.psi6_angle, 0, atol=1e-12)
     np.testing.assert_allclose(order.global_psi6, 1, atol=1e-12)
+
+
+@pytest.mark.parametrize("periodic", ["xy", ""])
+def test_a_square_lattice_has_fourfold_order(periodic):
+    """Its four neighbours cancel in degree 6."""
+    places = np.stack([*np.indices((5, 5)), np.zeros((5, 5))], axis=-1).reshape(-1, 3)
+    ds = xcg.scene_from_arrays(
+        places,
+        diameter=np.ones(25),
+        density=1.0,
+        box=[(0, 5), (0, 5), (0, 1)],
+        periodic=periodic,
+        dimension=2,
+    )
+    order = ds.cg.bond_order([4, 6], neighbours=4).isel(time=0)
+    inside = np.ones(25, bool)
+    if not periodic:
+        inside = (places[:, :2] % 4 != 0).all(axis=1)
+    np.testing.assert_allclose(order.psi4[inside], 1, atol=1e-14)
+    np.testing.assert_allclose(order.psi4_angle[inside], 0, atol=1e-14)
+    np.testing.assert_allclose(order.psi6[inside], 0, atol=1e-14)
 
 
 def test_the_angle_turns_with_the_neighbours():

@@ -213,30 +213,41 @@ class BondOrder(FrameAnalysis):
                 f"{len(position)}; take fewer neighbours, or leave the step out by on_error='skip'"
             )
         position = lattice.wrapped(position, lattice.corner, source)
-        reach = 0.0
-        if len(lattice.basis):
-            # without images, the farthest neighbour is at least as far away as with them
-            alone: Any = cKDTree(position).query(position, count + 1)[0]
-            reach = min(float(alone.max()), half)
-        low = position.min(axis=0) - reach
-        high = position.max(axis=0) + reach
-        originals, shift, _ = lattice.images(position, low, high, source)
-        images = position[originals] + shift
-        nearest: Any = cKDTree(images).query(position, count + 1)
+        tree = cKDTree(position)
+        # in the order of the tree, which keeps near particles together in memory
+        particle = tree.indices
+        centre = position[particle]
+        nearest: Any = tree.query(centre, count + 1)
         distance, near = nearest
-        if len(lattice.basis) and distance.max() > reach:
-            raise SceneError(
-                f"{source}: some of the nearest {count} particles are beyond half the distance to "
-                f"the nearest image ({half:g} m); take fewer neighbours"
+        places = position
+        if len(lattice.basis):
+            # with images, neighbours are no farther away than without
+            reach = min(float(distance.max()), half)
+            low = position.min(axis=0) - reach
+            high = position.max(axis=0) + reach
+            originals, shift, _ = lattice.images(position, low, high, source)
+            others = shift.any(axis=1)
+            places = np.concatenate([position, position[originals[others]] + shift[others]])
+            nearest = cKDTree(places[len(position) :]).query(
+                centre, count + 1, distance_upper_bound=reach * (1 + 1e-12)
             )
-        original = np.flatnonzero(~shift.any(axis=1))
-        itself = original[np.argsort(originals[original])]
-        is_itself = near == itself[:, None]
+            changed = nearest[0][:, 0] < distance[:, -1]
+            all_distances = np.hstack([distance[changed], nearest[0][changed]])
+            all_near = np.hstack([near[changed], len(position) + nearest[1][changed]])
+            order = np.argsort(all_distances, axis=1)[:, : count + 1]
+            distance[changed] = np.take_along_axis(all_distances, order, axis=1)
+            near[changed] = np.take_along_axis(all_near, order, axis=1)
+            if distance.max() > reach * (1 + 1e-12):
+                raise SceneError(
+                    f"{source}: some of the nearest {count} particles are beyond half the distance "
+                    f"to the nearest image ({half:g} m); take fewer neighbours"
+                )
+        is_itself = near == particle[:, None]
         # particles at the same position may push the particle itself out of the list
         is_itself[~is_itself.any(axis=1), -1] = True
         near = near[~is_itself].reshape(len(position), count)
-        bond = images[near] - position[:, None]
-        return np.repeat(np.arange(len(position)), count), bond.reshape(-1, 3)
+        bond = places[near] - centre[:, None]
+        return np.repeat(particle, count), bond.reshape(-1, 3)
 
 
 def _waves(degree: int, bond: NDArray) -> Iterator[NDArray]:

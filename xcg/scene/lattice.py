@@ -165,7 +165,7 @@ class Lattice:
 
     def numbers(self, vector: NDArray) -> NDArray:
         """Whole numbers (n, k) of lattice vectors nearest to vectors (n, 3)."""
-        return np.rint(vector @ self._dual.T)
+        return np.rint(np.einsum("...i,ki->...k", vector, self._dual))
 
     def drift(self, shift: NDArray) -> NDArray | float:
         """Return velocities (n, 3) of images shifted by lattice vectors (n, 3), 0 if none moves."""
@@ -384,11 +384,12 @@ class Lattice:
         last = np.where(limited, high, 0.0)
         middle = 0.5 * (first + last)
         home = self.numbers(position - middle)
-        near = position - home @ vectors
+        # NumPy is several times as fast along rows of n numbers as along n rows of three
+        near = np.ascontiguousarray((position - np.einsum("nk,ki->ni", home, vectors)).T)
         # a translation by n leads from the extent of the positions into the limits where n is
         # between centre - spread and centre + spread
-        lowest = (near - middle).min(axis=0, initial=0.0)
-        highest = (near - middle).max(axis=0, initial=0.0)
+        lowest = (near - middle[:, None]).min(axis=1, initial=0.0)
+        highest = (near - middle[:, None]).max(axis=1, initial=0.0)
         half_extent = np.where(limited, 0.5 * (highest - lowest), 0.0)
         spread = np.abs(self._dual) @ (0.5 * (last - first) + half_extent)
         centre = -self._dual @ np.where(limited, 0.5 * (lowest + highest), 0.0)
@@ -398,12 +399,15 @@ class Lattice:
         rows_of_numbers = []
         translations = []
         for number in numbers:
-            images = near + number @ vectors
-            inside = np.flatnonzero(((low <= images) & (images <= high)).all(axis=1))
+            images = near + (number @ vectors)[:, None]
+            is_inside = (low[:, None] <= images) & (images <= high[:, None])
+            inside = np.flatnonzero(is_inside.all(axis=0))
             rows_of_numbers.append(inside)
             translations.append(number - home[inside])
         translation = np.concatenate(translations)
-        return np.concatenate(rows_of_numbers), translation @ vectors, translation @ rates
+        shift = np.einsum("nk,ki->ni", translation, vectors)
+        drift = np.einsum("nk,ki->ni", translation, rates)
+        return np.concatenate(rows_of_numbers), shift, drift
 
     def extent(self, hidden: NDArray) -> float:
         """Length, area or volume by which sums over all images become averages along axes (3,).
