@@ -37,6 +37,7 @@ from tests.readers.public.test_vtk import (
     vertices,
     write,
     write_pieces,
+    write_temporal,
 )
 from tests.readers.public.test_vtk import write_pvd as write_parts
 
@@ -230,6 +231,29 @@ def _use_xyz(folder: Path) -> None:
     fields_of(xcg.open_scene(folder / "p.xyz", names=names, timestep=0.1))
 
 
+def _h5md(folder: Path) -> dict[str, bytes]:
+    x = np.array([[0.4, 0.5, 0.5], [0.59, 0.5, 0.5]])
+    with h5py.File(folder / "h.h5", "w") as file:
+        file.create_group("h5md").attrs["version"] = [1, 1]
+        group = file.create_group("particles/all")
+        for name, values in (("position", np.stack([x, x])), ("velocity", np.ones((2, 2, 3)))):
+            group[f"{name}/value"] = values
+            group[f"{name}/step"] = [0, 10]
+            group[f"{name}/time"] = [0.0, 0.5]
+        group["diameter"] = [0.2, 0.2]
+        ids = group.create_dataset("id/value", (2, 2), "i4", fillvalue=-1)
+        ids[:] = [[1, 2], [2, 1]]
+        group["id/step"] = 10
+        box = group.create_group("box")
+        box.attrs["boundary"] = np.array(["periodic", "periodic", "none"], "S")
+        box["edges"] = [[2.0, 0, 0], [0.1, 2, 0], [0, 0, 2]]
+    return {"h.h5": (folder / "h.h5").read_bytes()}
+
+
+def _use_h5md(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "h.h5", density=2.0, shear_rate={}))
+
+
 def _edem(folder: Path) -> dict[str, bytes]:
     with h5py.File(folder / "0.h5", "w") as file:
         for name, first in (("0", 0), ("1", 2)):
@@ -332,6 +356,14 @@ def _use_parallel(folder: Path) -> None:
             faults.append(error)
     if faults:
         raise faults[0]
+
+
+def _vtkhdf(folder: Path) -> dict[str, bytes]:
+    files = {}
+    for kind in ("PolyData", "UnstructuredGrid"):
+        files[f"{kind}.vtkhdf"] = write_temporal(folder / f"{kind}.vtkhdf", kind).read_bytes()
+    write(vertices(vtkPolyData, time=0.5), folder / "one.vtkhdf", "vtkhdf")
+    return files | {"one.vtkhdf": (folder / "one.vtkhdf").read_bytes()}
 
 
 def _liggghts(folder: Path) -> dict[str, bytes]:
@@ -510,6 +542,7 @@ TARGETS = {
     "csv": Target(_csv, _use_csv),
     "hdf5": Target(_hdf5, _use_hdf5),
     "xyz": Target(_xyz, _use_xyz),
+    "h5md": Target(_h5md, _use_h5md),
     "edem": Target(_edem, _use_edem),
     "text": Target(_text, _use_text),
     "names": Target(names.seeds, names.use, damage=names.damage),
@@ -517,6 +550,7 @@ TARGETS = {
     "vtu": Target(_vtu, _use_vtu),
     "legacy_vtk": Target(_legacy, _use_each("*.vtk")),
     "parallel_vtk": Target(_parallel, _use_parallel),
+    "vtkhdf": Target(_vtkhdf, _use_each("*.vtkhdf")),
     "liggghts": Target(_liggghts, _use_liggghts),
     "mercury": Target(_mercury, _use_mercury),
     **({"parquet": Target(_parquet, _use_parquet)} if find_spec("pyarrow") else {}),

@@ -94,8 +94,8 @@ except xcg.SceneError as error:
     shown = run(code, site, tmp_path)
     assert shown.startswith(2 * told)
     assert shown.endswith(
-        "; did you mean 'grit'? Expected one of lammps, liggghts, mercury, mfix, yade, xyz, table, hdf5, "
-        "vtk, grit\n"
+        "; did you mean 'grit'? Expected one of lammps, liggghts, mercury, mfix, yade, xyz, table, h5md, "
+        "hdf5, vtk, grit\n"
     )
 
 

@@ -349,6 +349,7 @@ _OWN = {
     "yade": "xcg.readers.engines.yade:Yade",
     "xyz": "xcg.readers.engines.xyz:Xyz",
     "table": "xcg.readers.engines.tabular:Table",
+    "h5md": "xcg.readers.engines.h5md:H5md",
     "hdf5": "xcg.readers.engines.hdf5:Hdf5",
     "vtk": "xcg.readers.engines.vtk:Vtk",
 }

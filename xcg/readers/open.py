@@ -73,8 +73,8 @@ def open_scene(
         ... in their order; see `xcg.select_walls`.
     engine : str or Engine, optional
         What wrote the files, one of {"lammps", "liggghts", "mercury", "mfix", "yade", "xyz",
-        "table", "hdf5", "vtk"}, guessed from their first bytes by default; the name of an engine
-        that an installed package registers; or a class or object derived from
+        "table", "h5md", "hdf5", "vtk"}, guessed from their first bytes by default; the name of an
+        engine that an installed package registers; or a class or object derived from
         `xcg.readers.Engine`.
     names : mapping, list or text, optional
         From columns in the files to variables of the scene, before what the engine knows by itself;
@@ -171,8 +171,9 @@ def open_scene(
     **engine_options
         Of one engine only. LAMMPS, LIGGGHTS, XYZ, tables, HDF5 and VTK: ``timestep``, the time
         between two steps of the simulation, for files without times. HDF5: ``mapping``, from
-        variables to datasets. MercuryDPM: ``restart``, the restart file with gravity, dimensions,
-        boundaries and densities (by default the one beside the ``.data`` file).
+        variables to datasets. H5MD: ``group``, the name of the group of particles, where there are
+        several. MercuryDPM: ``restart``, the restart file with gravity, dimensions, boundaries and
+        densities (by default the one beside the ``.data`` file).
 
     Returns
     -------

@@ -149,11 +149,6 @@ _FORMATS = (
     ),
     UnreadFormat("text in UTF-16", "save it as UTF-8", rb"\xff\xfe|\xfe\xff"),
     UnreadFormat(
-        "a VTKHDF file", "save its points as .vtp in ParaView, or say engine='hdf5' and "
-        "mapping={'position': '/VTKHDF/Points', 'diameter': '/VTKHDF/PointData/...', ...}",
-        rb"\x89HDF\r\n\x1a\n", (".vtkhdf",),
-    ),
-    UnreadFormat(
         "an HDF5 file", "say engine='hdf5' and mapping={'position': '/Step{time}/position', ...}",
         rb"\x89HDF\r\n\x1a\n",
     ),

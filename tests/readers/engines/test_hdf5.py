@@ -224,29 +224,3 @@ def test_units_of_datasets_are_converted(tmp_path, name, text):
     ds = xcg.open_scene(tmp_path / "run.h5", units="si", **options)
     np.testing.assert_array_equal(ds.position[0, 0], [100, 200, 300])
     assert ds.time.values.tolist() == [500.0, 1000.0]
-
-
-def test_datasets_without_steps_stand_beside_stacks(tmp_path):
-    position = np.random.default_rng(0).uniform(0, 1, (3, 4, 3))
-    with h5py.File(tmp_path / "run.h5", "w") as file:
-        file["position/value"] = position
-        file["position/time"] = [0.0, 0.1, 0.2]
-        file["id"] = [5, 4, 3, 2]
-        file["mass"] = [1.0, 2, 3, 4]
-        file["diameter"] = [0.1] * 4
-    mapping = {"position": "/position/value", "time": "/position/time"}
-    mapping |= {"particle_id": "/id", "mass": "/mass", "diameter": "/diameter"}
-    ds = xcg.open_scene(tmp_path / "run.h5", mapping=mapping, box=[[0, 3.0]] * 3)
-    assert ds.mass.values.tolist() == [[4, 3, 2, 1]] * 3
-    np.testing.assert_array_equal(ds.position, position[:, ::-1])
-
-
-def test_a_damaged_tree_of_groups_is_refused_by_name(tmp_path):
-    path = tmp_path / "run.h5"
-    with h5py.File(path, "w") as file:
-        file["particles/position"] = np.zeros((2, 3))
-    content = bytearray(path.read_bytes())
-    content[content.index(b"SNOD")] = 0
-    path.write_bytes(content)
-    with pytest.raises(xcg.SceneError, match=r"run\.h5"):
-        xcg.open_scene(path, mapping={"position": "/particles/position"})

@@ -170,6 +170,28 @@ def test_hdf5_tells_motion_across_periods(tmp_path, name):
     check_motion(xcg.open_scene(tmp_path / "p.h5", engine="hdf5", **options))
 
 
+def test_h5md_tells_motion_across_periods(tmp_path):
+    grains = [Grain(step) for step in range(STEPS)]
+    elements = {
+        "position": [grain.position for grain in grains],
+        "image": [grain.image.astype("i4") for grain in grains],
+        "id": [np.arange(len(START))] * STEPS,
+        "diameter": [np.ones(len(START))] * STEPS,
+    }
+    with h5py.File(tmp_path / "p.h5", "w") as file:
+        file.create_group("h5md").attrs["version"] = [1, 1]
+        group = file.create_group("particles/all")
+        for name, values in elements.items():
+            group[f"{name}/value"] = np.array(values)
+            group[f"{name}/step"] = np.arange(STEPS)
+            group[f"{name}/time"] = np.arange(STEPS, dtype=float)
+        box = group.create_group("box")
+        box.attrs["dimension"] = 3
+        box.attrs["boundary"] = np.array([b"periodic", b"periodic", b"none"])
+        box["edges"] = [10.0, 10.0, 10.0]
+    check_motion(xcg.open_scene(tmp_path / "p.h5", density=1.0, box=EDGES))
+
+
 @pytest.mark.parametrize("name", ["i", "image", "Turns"])
 def test_vtk_tells_motion_across_periods(tmp_path, name):
     for step in range(STEPS):

@@ -3,12 +3,13 @@
 import json
 import struct
 
+import h5py
 import numpy as np
 import pytest
-from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import VTK_VERTEX, vtkCellArray, vtkPolyData, vtkUnstructuredGrid
-from vtkmodules.vtkIOHDF import vtkHDFWriter
+from vtkmodules.vtkIOHDF import vtkHDFReader, vtkHDFWriter
 from vtkmodules.vtkIOLegacy import vtkPolyDataWriter, vtkUnstructuredGridWriter
 from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
@@ -385,13 +386,14 @@ def test_multi_block_files_are_refused_by_what_they_are(tmp_path):
         xcg.open_scene(tmp_path / "g.vtm")
 
 
-def test_first_steps_without_grains_are_empty(tmp_path):
+@pytest.mark.parametrize("form", ["vtk", "vtkhdf"])
+def test_first_steps_without_grains_are_empty(tmp_path, form):
     """Files of steps before the first insertion have no arrays at all."""
     nothing = vtkPolyData()
     nothing.SetPoints(vtkPoints())
-    write(nothing, tmp_path / "g_0.vtk", "vtk")
-    write(vertices(vtkPolyData), tmp_path / "g_1.vtk", "vtk")
-    ds = xcg.open_scene(str(tmp_path / "g_*.vtk"), density=1.0).load()
+    write(nothing, tmp_path / f"g_0.{form}", form)
+    write(vertices(vtkPolyData), tmp_path / f"g_1.{form}", form)
+    ds = xcg.open_scene(str(tmp_path / f"g_*.{form}"), density=1.0).load()
     np.testing.assert_array_equal(ds.particle_id, [[-1] * 4, [1, 2, 3, 4]])
 
 
@@ -572,15 +574,96 @@ def test_damaged_series_are_named(tmp_path, text):
         xcg.open_scene(tmp_path / "g.vtk.series", density=1.0)
 
 
-def test_vtkhdf_is_refused_with_the_ways_to_read_it(tmp_path):
-    write(vertices(vtkPolyData), tmp_path / "g_3.vtkhdf", "vtkhdf")
-    with pytest.raises(xcg.SceneError, match=r"g_3\.vtkhdf is a VTKHDF file.*\.vtp in ParaView"):
-        xcg.open_scene(tmp_path / "g_3.vtkhdf", density=1.0)
-    mapping = {
-        "position": "/VTKHDF/Points",
-        "particle_id": "/VTKHDF/PointData/id",
-        "radius": "/VTKHDF/PointData/radius",
-        "velocity": "/VTKHDF/PointData/v",
-    }
-    ds = xcg.open_scene(tmp_path / "g_3.vtkhdf", engine="hdf5", mapping=mapping, density=1.0)
-    assert_grains(ds.load())
+# --- VTKHDF ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [vtkPolyData, vtkUnstructuredGrid])
+def test_vtkhdf_of_one_step_is_read(tmp_path, kind):
+    write(vertices(kind, time=0.75), tmp_path / "g_3.vtkhdf", "vtkhdf")
+    ds = xcg.open_scene(tmp_path / "g_3.vtkhdf", density=1.0).load()
+    np.testing.assert_array_equal(ds.time, [0.75])
+    assert_grains(ds)
+
+
+def write_temporal(path, kind):
+    """Write two steps: all grains in two parts, then two of them, moved; radii are stored once for both."""
+    steps = ((X[:1], X[1:]), (X[:2] + 1.0, X[:0]))
+    counts = [len(part) for parts in steps for part in parts]
+    with h5py.File(path, "w") as file:
+        root = file.create_group("VTKHDF")
+        root.attrs["Version"] = np.array([2, 3])
+        root.attrs["Type"] = np.bytes_(kind)
+        root["NumberOfPoints"] = counts
+        root["Points"] = np.concatenate([part for parts in steps for part in parts])
+        root["PointData/id"] = np.concatenate([IDS, IDS[:2]])
+        root["PointData/v"] = np.concatenate([VELOCITY, 2 * VELOCITY[:2]])
+        root["PointData/radius"] = RADIUS
+        cells = ("Vertices", "Lines", "Polygons", "Strips") if kind == "PolyData" else ("",)
+        for name in cells:
+            number = counts if name in ("Vertices", "") else [0] * 4
+            root[f"{name}/NumberOfCells".lstrip("/")] = number
+            root[f"{name}/NumberOfConnectivityIds".lstrip("/")] = number
+            offsets = [np.arange(n + 1) for n in number]
+            root[f"{name}/Offsets".lstrip("/")] = np.concatenate(offsets)
+            root[f"{name}/Connectivity".lstrip("/")] = np.concatenate([o[:-1] for o in offsets])
+        if kind == "UnstructuredGrid":
+            root["Types"] = np.full(sum(counts), VTK_VERTEX, "u1")
+        group = root.create_group("Steps")
+        group.attrs["NSteps"] = 2
+        group["Values"] = [0.5, 1.5]
+        group["PartOffsets"], group["NumberOfParts"] = [0, 2], [2, 2]
+        group["PointOffsets"] = [0, 4]
+        width = 4 if kind == "PolyData" else 1
+        group["CellOffsets"] = np.outer([0, 4], np.ones(width, int))
+        group["ConnectivityIdOffsets"] = np.outer([0, 4], np.ones(width, int))
+        for name, offsets in {"id": [0, 4], "v": [0, 4], "radius": [0, 0]}.items():
+            group[f"PointDataOffsets/{name}"] = offsets
+    return path
+
+
+@pytest.mark.parametrize("kind", ["PolyData", "UnstructuredGrid"])
+def test_temporal_vtkhdf_is_read(tmp_path, kind):
+    path = write_temporal(tmp_path / "g.vtkhdf", kind)
+    reader = vtkHDFReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    assert reader.GetNumberOfSteps() == 2
+    reader.SetStep(1)
+    reader.Update()
+    by_vtk = vtk_to_numpy(reader.GetOutputDataObject(0).GetPartition(0).GetPoints().GetData())
+    np.testing.assert_array_equal(by_vtk, X[:2] + 1.0)
+
+    ds = xcg.open_scene(path, density=1.0, chunks=1).load()
+    np.testing.assert_array_equal(ds.time, [0.5, 1.5])
+    assert_grains(ds)
+    np.testing.assert_array_equal(ds.particle_id[1], [2, 4, -1, -1])
+    np.testing.assert_array_equal(ds.position[1, :2], by_vtk[::-1])
+    np.testing.assert_array_equal(ds.velocity[1, :2], 2 * VELOCITY[[1, 0]])
+    np.testing.assert_array_equal(ds.diameter[1, :2], 2 * RADIUS[[1, 0]])
+
+
+@pytest.mark.parametrize(
+    ("place", "values", "problem"),
+    [
+        ("NumberOfPoints", [4, 9, 0, 0], "a step of 13 points is promised, and the file holds 6"),
+        ("NumberOfPoints", [-1, 3, 2, 0], "holds no counts"),
+        ("Steps/NumberOfParts", [2, 9], "names parts beyond the 4 of the file"),
+        ("Steps/Values", [0.5], "holds 1 times"),
+        ("Steps/PointOffsets", [0, 5], "holds 6 rows, and 2 from 5 on were promised"),
+        ("Points", np.zeros((6, 2)), "expected \\(n, 3\\)"),
+    ],
+)
+def test_damaged_vtkhdf_is_named(tmp_path, place, values, problem):
+    path = write_temporal(tmp_path / "g.vtkhdf", "PolyData")
+    with h5py.File(path, "r+") as file:
+        del file[f"VTKHDF/{place}"]
+        file[f"VTKHDF/{place}"] = values
+    with pytest.raises(xcg.SceneError, match=rf"g\.vtkhdf.*{problem}"):
+        xcg.open_scene(path, density=1.0).load()
+
+
+def test_images_in_vtkhdf_are_no_grains(tmp_path):
+    fields = xcg.datasets.random_scene(30, seed=1).cg.coarse_grain("density", spacing=1.0)
+    fields.cg.save(tmp_path / "f.vtkhdf")
+    with pytest.raises(xcg.SceneError, match=r"f\.vtkhdf \(VTKHDF of the type ImageData\)"):
+        xcg.open_scene(tmp_path / "f.vtkhdf")

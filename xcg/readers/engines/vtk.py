@@ -15,9 +15,11 @@ from xcg.common.vtk_mesh import points_of, read_mesh
 from xcg.readers.assigned import magnitudes
 from xcg.readers.columns import unify_sizes
 from xcg.readers.engine import Engine, ReadOptions, StepRef
+from xcg.readers.engines import vtkhdf_points
 from xcg.readers.engines.vtk_steps import LINES, list_steps, read_header
 from xcg.readers.filenames import suffix_of
 from xcg.readers.files import vtkheader
+from xcg.readers.files.hdf5data import is_hdf5
 from xcg.readers.files.legacy_vtk import is_legacy
 from xcg.readers.files.text import open_binary
 from xcg.readers.files.vtkheader import OF_CELLS, Header
@@ -58,7 +60,10 @@ def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
         return {name: np.empty(variable(name).shape(0)) for name in wanted}
     ghosts = [name for name in _GHOSTS if name in ref.columns]
     names = [*wanted.values(), *ghosts]
-    arrays = vtkheader.read_arrays(open_step(ref), names)
+    if ref.kind == vtkhdf_points.KIND:
+        arrays = vtkhdf_points.read_arrays(ref, names)
+    else:
+        arrays = vtkheader.read_arrays(open_step(ref), names)
     frame = {name: arrays[array] for name, array in wanted.items()}
     if ghosts:
         of_piece = arrays[ghosts[0]] == 0
@@ -90,6 +95,8 @@ class Vtk(Engine):
 
     def recognises(self, path: str) -> bool:
         """Return whether this is a VTK file of points, or a list of such files."""
+        if suffix_of(path) == ".vtkhdf":
+            return is_hdf5(path)
         is_list = suffix_of(path) == ".series"
         return is_list or is_legacy(path) or is_xml(path, _XML, b"VTKFile")
 

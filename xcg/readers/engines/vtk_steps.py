@@ -17,8 +17,10 @@ import numpy as np
 
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engines import vtkhdf_points
 from xcg.readers.filenames import suffix_of
 from xcg.readers.files import legacy_vtk, vtp
+from xcg.readers.files.hdf5data import is_hdf5
 from xcg.readers.files.text import ENDINGS, open_binary, plain_name
 from xcg.readers.files.vtkheader import Header
 from xcg.readers.paths import number_steps, remembered, timed_steps
@@ -84,6 +86,9 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
 
 def _scan(path: str, *, lines: bool) -> list[StepRef]:
     """Return the steps of a file, from its header."""
+    if suffix_of(path) not in _XML and is_hdf5(path):
+        mesh = vtkhdf_points.mesh_of(path)
+        return [_mesh(path, mesh)] if mesh else vtkhdf_points.list_steps(path)
     header = read_header(path, lines=lines)
     if header.mesh:
         return [_mesh(path, header.mesh)]
