@@ -394,7 +394,6 @@ def test_messages_name_options_of_the_command_line(tmp_path):
     assert "contacts= for" not in xcg_run("chains", one, code=1)
     assert "'contact_point']: give --contacts (this Dataset holds" in xcg_run("chains", one, code=1)
     assert "alpha=100.0: expected a number" in xcg_run("chains", one, "--alpha", 100, code=1)
-    assert "of the symmetric part" in xcg_run("chains", one, "--raw", code=2)
     (tmp_path / "there.nc").touch()
     assert "or pass --overwrite to replace it" in xcg_run(
         "convert", one, "-o", tmp_path / "there.nc", code=1

@@ -39,13 +39,6 @@ def test_stress_equals_brute_force(periodic):
     np.testing.assert_array_equal(result.major_stress.values[0], values[:, 0])
 
 
-@pytest.mark.parametrize("name", ["particle_stress", "force_chains"])
-def test_the_stress_that_is_not_symmetric_has_no_principal_values(name):
-    compute = getattr(xcg.datasets.random_scene(20, seed=1).cg, name)
-    with pytest.raises(TypeError, match=r"'symmetric'; .* of the symmetric part; leave it out"):
-        compute(symmetric=False)
-
-
 def test_virial_equals_that_of_the_code():
     """The sum of stress times volume over all grains is minus the sum of LAMMPS's own stress/atom."""
     folder = EXAMPLES / "lammps_biaxial2d"

@@ -33,13 +33,6 @@ def _stress(
         raise click.BadParameter(f"{value!r} is neither 'mean' nor a stress") from None
 
 
-def _no_raw(context: click.Context, parameter: click.Parameter, value: bool) -> None:
-    if value:
-        raise click.BadParameter(
-            "chains follow the principal stresses of the symmetric part; leave it out"
-        )
-
-
 @click.command()
 @takes_files
 @click.option(
@@ -55,7 +48,6 @@ def _no_raw(context: click.Context, parameter: click.Parameter, value: bool) -> 
 @click.option(
     "--algorithm", type=click.Choice(ALGORITHMS), default=ALGORITHMS[0], show_default=True
 )
-@click.option("--raw", is_flag=True, hidden=True, expose_value=False, callback=_no_raw)
 @click.option(
     "--csv",
     type=click.Path(path_type=Path),

@@ -141,8 +141,6 @@ _ELSEWHERE = {
     "density": "it is a fact of the scene, given to xcg.open_scene or xcg.scene_from_arrays",
     "timestep": "it is a fact of the scene, given to xcg.open_scene",
     "dt": "times are those of the scene; timestep= is given to xcg.open_scene",
-    "sampling": "ds.cg.cell_volumes shares solid volume, mass and momentum among cells, exactly",
-    "symmetric": "principal stresses are those of the symmetric part; leave it out",
 }
 
 
