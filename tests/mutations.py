@@ -474,6 +474,14 @@ TABLE = [
         "test_flows_without_fluctuations_have_no_noise",
     ),
     Mutation(
+        "fields/pressures.py", "velocity[contacts.j] - of_image", "velocity[contacts.j]",
+        "test_sheared_images_in_contact_do_not_fluctuate",
+    ),
+    Mutation(
+        "fields/formulas/floors.py", "min(_SHAKEN, support.shaken)", "_SHAKEN",
+        "test_the_noise_of_inertial_numbers_is_that_of_the_fluctuations_of_the_step",
+    ),
+    Mutation(
         "fields/support.py", "math.prod(length_along(scene, a, size) for a in plan.extent)",
         "_averaged_over(scene, plan)", "test_empty_parts_of_a_box_hold_no_grains",
     ),

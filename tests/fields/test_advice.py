@@ -274,6 +274,34 @@ def test_contacts_of_a_lattice_have_no_noise(strain, axes):
     assert said(ds, names, about="", axes=axes, width=1.5) == []
 
 
+def sheared_crystal(noise, inertial=0.01):
+    """Return touching spheres in a sheared box."""
+    ds = xcg.datasets.simple_cubic(8, force=1.0)
+    rate = inertial * float(ds.density[0, 0]) ** -0.5  # p = 1, d = 1
+    velocity = noise * np.random.default_rng(1).normal(size=ds.position.shape)
+    velocity[..., 0] += rate * ds.position.sel(component="z").values
+    kept = ("diameter", "density", "contact_i", "contact_j", "contact_force")
+    return xcg.scene_from_arrays(
+        ds.position.values,
+        velocity=velocity,
+        box=ds.box.values[0],
+        periodic="xyz",
+        lattice={"xz": 0.0},
+        shear_rate={"xz": rate},
+        **{name: ds[name].values for name in kept},
+    )
+
+
+def test_the_noise_of_inertial_numbers_is_that_of_the_fluctuations_of_the_step():
+    names = ["inertial_number", "shear_rate"]
+    assert said(sheared_crystal(0.0), names, about="", width=1.0) == []
+    noise = 2e-3  # at I = 0.1 fluctuations are about 4e-3
+    (text,) = said(sheared_crystal(noise), names, width=1.0)
+    floor = float(re.search(r"inertial_number is about ([\d.]+)", text)[1])
+    f = sheared_crystal(noise, inertial=0.0).cg.coarse_grain("inertial_number", width=1.0)
+    assert floor == pytest.approx(float(f.inertial_number.mean()), rel=0.25)
+
+
 def share_of_variation(text):
     """Share and component in a warning of the variation of the flow."""
     form = r"about (\d+) % of (the component \w\w of the stress|the pressure|it) is no fluctuation"

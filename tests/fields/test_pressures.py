@@ -79,6 +79,30 @@ def test_pressures_of_a_crystal_that_fluctuates(sampled, monkeypatch):
     np.testing.assert_array_equal(parts.smeared, 0.0)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_sheared_images_in_contact_do_not_fluctuate(noise):
+    """Of a crystal in a homogeneous shear, grains in contact differ by the shear, also across its sheared edge."""
+    rate = 0.7
+    ds = xcg.datasets.simple_cubic(SIDE, force=3.0)
+    v = noise * np.random.default_rng(2).normal(size=ds.position.shape)
+    v[..., 0] += rate * ds.position.sel(component="z").to_numpy()
+    parts = {"diameter", "density", "contact_i", "contact_j", "contact_force"}
+    sheared = xcg.scene_from_arrays(
+        ds.position.to_numpy(),
+        velocity=v,
+        box=ds.box.to_numpy()[0],
+        periodic="xyz",
+        lattice={"xz": 0.0},
+        shear_rate={"xz": rate},
+        **{name: ds[name].to_numpy() for name in parts},
+    )
+    plan = make_plan(Scene(sheared), Request("stress", width=1.5))
+    frame, lattice, _ = frame_at(sheared, 0, plan.variables)
+    kinetic = pressures_of(plan, frame, lattice).kinetic
+    mass = frame["mass"][:: SIDE**3 // 2_000].sum()
+    np.testing.assert_allclose(kinetic, noise**2 * mass, rtol=0.08, atol=1e-20 * mass)
+
+
 def test_a_weak_shear_of_few_grains_is_known_by_its_mean_slope():
     """The noise of the slope of a line is a twentieth of that of the slopes of a cubic polynomial."""
     _, _, smeared, _ = of_flow(lambda z: 0.02 * z, axes="xyz", noise=1.0)

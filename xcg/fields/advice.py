@@ -54,6 +54,7 @@ _SURE = 5.0  # standard errors of such a slope
 _ALONG_PERIOD = 0.6
 
 _OF_READ_CONTACTS = ("branch_anisotropy", "tangential_force_anisotropy")
+_OF_FLUCTUATION = {"inertial_number", "stress_strain_rate_angle"}
 _TURN = threading.Lock()  # so that the first step of several threads warns of all effects
 # means of squared fluctuations
 _TEMPERATURES = (
@@ -369,6 +370,8 @@ class ComputedStep:
         if {*_OF_READ_CONTACTS} & {*self.plan.requested}:
             branches, forces = spread_of_contacts(self.frame, self.lattice)
             support = replace(support, branch_spread=branches, tangential=forces)
+        if support.is_dense and not _OF_FLUCTUATION.isdisjoint(self.plan.requested):
+            support = replace(support, shaken=self._shaken(support.volume_fraction))
         texts = self._texts_of_floors(support)
         if not texts:
             return {}
@@ -399,12 +402,19 @@ class ComputedStep:
         return texts
 
     @cached_property
-    def _fluctuation(self) -> float:
-        """Return the root of the temperature of the step (m s-1), 0 without grains."""
+    def _pressures(self) -> Pressures | None:
+        """Parts of the pressure of the grains that are free, None without any."""
         free = without_frozen(self.frame)
         if not len(free["mass"]):
+            return None
+        return pressures_of(self.plan, free, self.lattice)
+
+    @cached_property
+    def _fluctuation(self) -> float:
+        """Return the root of the temperature of the step (m s-1), 0 without grains."""
+        parts = self._pressures
+        if parts is None:
             return 0.0
-        parts = pressures_of(self.plan, free, self.lattice)
         temperature = float(parts.kinetic.sum()) / (self.plan.options.dimension * parts.mass)
         # it holds what is left of a flow that is no smooth one
         of_fits = self.fields.get("granular_temperature", np.empty(0))
@@ -412,6 +422,16 @@ class ComputedStep:
         if of_fits.size:
             temperature = min(temperature, float(np.median(of_fits)))
         return math.sqrt(temperature)
+
+    def _shaken(self, volume_fraction: float) -> float:
+        """Return the velocity fluctuation over sqrt(p / rho_p), infinite without a pressure."""
+        parts = self._pressures
+        if parts is None:
+            return math.inf
+        pressure = float((parts.kinetic + parts.contact).sum()) * volume_fraction
+        if not pressure > 0:
+            return math.inf
+        return self._fluctuation / math.sqrt(pressure / (self.plan.options.dimension * parts.mass))
 
     def _unknown_temperatures(self, names: Sequence[str]) -> dict[str, str]:
         """Return which temperatures are NaN at most nodes."""
@@ -523,10 +543,11 @@ class ComputedStep:
         taking = [
             name for name in plan.requested if takes_stress_of_step(plan.definitions[name], options)
         ]
-        free = without_frozen(self.frame)
-        if not taking or not len(free["mass"]) or not (has_contacts or plan.named):
+        if not taking or not (has_contacts or plan.named):
             return {}
-        parts = pressures_of(plan, free, self.lattice)
+        parts = self._pressures
+        if parts is None:
+            return {}
         usual = [name for name in ("kinetic_stress", "stress", "pressure") if name in taking]
         names = ", ".join(usual or taking[:1])
         whole = "the pressure" if has_contacts else "it"

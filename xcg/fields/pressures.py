@@ -64,7 +64,10 @@ def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
         contact[plane] = sides[:, plane].sum(axis=0) * rows / every
         pairs = (contacts.i >= 0) & (contacts.j >= 0)
         if 2 * rows * np.count_nonzero(pairs) > count:
-            relative = velocity[contacts.i[pairs]] - velocity[contacts.j[pairs]]
+            relative = _relative_velocities(contacts, velocity)[pairs]
+            branch = contacts.between[pairs]
+            # less the shear, which moves neighbours apart, too
+            relative -= branch @ np.linalg.lstsq(branch, relative, rcond=None)[0]
             kinetic = (relative**2).mean(axis=0) * mass.sum() / 2
     least = mass.sum() * (_ROUNDING * np.abs(velocity).max()) ** 2
     return Pressures(
@@ -74,6 +77,13 @@ def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
         {axis: part * (part > least) for axis, part in averaged.items()},
         float(mass.sum()),
     )
+
+
+def _relative_velocities(contacts: Contacts, velocity: NDArray) -> NDArray:
+    """Return the velocities (n, 3) of the images that touch, i less j (m s-1)."""
+    apart = contacts.position[contacts.i] - contacts.position[contacts.j]
+    of_image = contacts.lattice.drift(apart - contacts.between)
+    return velocity[contacts.i] - velocity[contacts.j] - of_image
 
 
 def _sampled_contacts(frame: Frame, lattice: Lattice) -> tuple[Contacts, int]:

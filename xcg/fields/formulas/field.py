@@ -143,6 +143,8 @@ class Support:
         Standard deviation of the branch lengths over their mean; NaN before a step is read.
     tangential : float
         Root mean square of the tangential forces over the mean normal one; NaN before a step is read.
+    shaken : float
+        Velocity fluctuation over sqrt(p / rho_p); infinite before a step is read.
     diameter : float
         d43 (m).
     """
@@ -155,6 +157,7 @@ class Support:
     volume_fraction: float
     branch_spread: float = math.nan
     tangential: float = math.nan
+    shaken: float = math.inf
     diameter: float = math.nan
 
     @property

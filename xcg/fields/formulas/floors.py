@@ -138,7 +138,7 @@ def shear_rate(support: Support) -> float:
 
 
 def inertial_number(support: Support) -> float:
-    """Return I of a gas, p = phi rho_p T, or of dense grains that fluctuate as in shear at I = 0.1, without shear."""
+    """Return I without shear: of a gas, or of dense grains that fluctuate at most as in shear at I = 0.1."""
     if support.is_dense:
-        return _SHAKEN * shear_rate(support)
+        return min(_SHAKEN, support.shaken) * shear_rate(support)
     return shear_rate(support) / math.sqrt(support.volume_fraction)
