@@ -276,4 +276,10 @@ def test_the_picture_of_a_fit_has_points_curve_and_band():
     assert ax.get_xscale() == "log"
     assert "inertial number" in ax.get_xlabel()
     assert len(ax.collections) >= 1
+    label = fit.assign(mu_s=0.38214, mu_s_error=0.0068, I_0=0.0, mu_2=63.79, mu_2_error=1.24)
+    _, *parameters = label.cg.plot(ax=plt.figure().gca()).lines[1].get_label().split("\n")
+    written = dict(line.split(" = ") for line in parameters)
+    assert written["mu_s"] == "0.3821 ± 0.0068"
+    assert written["mu_2"] == "63.8 ± 1.2"
+    assert written["I_0"].startswith("0 ± ")
     plt.close("all")

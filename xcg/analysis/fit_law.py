@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -273,7 +274,11 @@ def draw_fit(fit: xr.Dataset, ax: Axes, **options: Any) -> Axes:
     ax.errorbar(x, y, **errors, fmt="o", color="C0", label="points")
     numbers = []
     for name in map(str, fit["parameter"].to_numpy()):
-        numbers.append(f"{name} = {float(fit[name]):.3g} ± {float(fit[f'{name}_error']):.2g}")
+        value, error = float(fit[name]), float(fit[f"{name}_error"])
+        digits = 3
+        if 0 < error < abs(value):  # to the last digit of the error
+            digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(error))
+        numbers.append(f"{name} = {value:.{digits}g} ± {error:.2g}")
     label = "\n".join([fit.attrs["law"], *numbers])
     curve_x, curve = fit["curve_x"].to_numpy(), fit["curve"].to_numpy()
     (line,) = ax.plot(curve_x, curve, **{"color": "black", "label": label, **options})
