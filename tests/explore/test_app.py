@@ -344,6 +344,13 @@ def test_bands_are_one_error_wide_and_end_where_it_is_unknown():
     assert not len(shown.bands.data["x"])
 
 
+def test_errors_have_labels_at_one_two_and_five_of_each_decade():
+    figures = pytest.importorskip("xcg.explore.figures")
+    ticks = np.sort(figures.Errors().figure.yaxis.ticker.ticks)
+    percent = 100 * ticks[(ticks > 0.009) & (ticks < 1.1)]
+    np.testing.assert_allclose(percent, [1, 2, 5, 10, 20, 50, 100])
+
+
 def test_numbers_without_a_logarithm_are_named():
     figures = pytest.importorskip("xcg.explore.figures")
     x = np.arange(4.0)

@@ -388,6 +388,10 @@ class Errors:
         self._mark = models.Span(dimension="height", line_color="black", line_dash="dashed")
         self.figure.add_layout(self._mark)
         self.figure.xaxis.ticker = models.FixedTicker(ticks=[0.25, 0.5, 1, 2, 4])
+        decades = 10.0 ** np.arange(-6, 4)
+        self.figure.yaxis.ticker = models.FixedTicker(
+            ticks=[*decades, *(2 * decades), *(5 * decades)]
+        )
         self.figure.yaxis.formatter = models.NumeralTickFormatter(format="0.[000] %")
         (legend,) = self.figure.legend
         legend.orientation = "horizontal"
