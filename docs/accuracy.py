@@ -481,7 +481,7 @@ def fastest(runs: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
 
 @dataclass(frozen=True)
 class Point:
-    """A way with its time (us a particle) and its error, not less than rounding."""
+    """A way with its time (µs a particle) and its error, not less than rounding."""
 
     way: Way
     time: float
@@ -493,7 +493,7 @@ class Point:
 
 
 def measure(panel: Panel, particles: int, repeats: int) -> tuple[list[Point], dict[str, float]]:
-    """Points of the ways, and times of the floors (us a particle)."""
+    """Points of the ways, and times of the floors (µs a particle)."""
     times = fastest([*(way.run for way in panel.ways), *panel.floors.values()], repeats)
     times = [1e6 * t / particles for t in times]
     points = [Point(w, t, max(w.error, ROUNDING)) for w, t in zip(panel.ways, times, strict=False)]
@@ -531,7 +531,7 @@ LOOPS = {
 
 @dataclass(frozen=True)
 class Rate:
-    """Time of a loop (us a particle), node updates per second, and those of bare multiply-adds (1e6 / s)."""
+    """Time of a loop (µs a particle), node updates per second, and those of bare multiply-adds (1e6 / s)."""
 
     columns: int
     time: float
@@ -877,7 +877,7 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
 def table(points: Sequence[Point], bare: Mapping[str, float]) -> str:
     """The points and floors of one panel, in markdown."""
     groups = by_group(points)
-    lines = ["| way | | time (us a particle) | error | on the front |", "|---|---|---|---|---|"]
+    lines = ["| way | | time (µs a particle) | error | on the front |", "|---|---|---|---|---|"]
     for p in points:
         series = p.way.series if p.way.series != p.way.name else ""
         name = f"**{p.way.name}** (default)" if p.way.default else p.way.name

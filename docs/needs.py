@@ -119,7 +119,7 @@ def measure(particles: int, repeats: int) -> pd.DataFrame:
 def rows(table: pd.DataFrame) -> str:
     """Return the table of the page."""
     lines = [
-        "| where | fields | nodes | time (us a grain) | memory (MB) | spread of nodes |",
+        "| where | fields | nodes | time (µs a grain) | memory (MB) | spread of nodes |",
         "|---|---|---|---|---|---|",
     ]
     for row in table.itertuples():
@@ -154,7 +154,7 @@ def draw(table: pd.DataFrame) -> None:
     """Draw time, memory and spread by place, a line for each choice of fields."""
     figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
     labels = {
-        "time": "time, one thread (us a grain)",
+        "time": "time, one thread (µs a grain)",
         "memory": "memory beside the scene (MB)",
         "spread": "spread of nodes about the box",
     }

@@ -79,7 +79,7 @@ def of_spacing(flow: Flow, spacing: float) -> tuple[float, float]:
 
 
 def of_choice(whole: Flow, points: NDArray, choice: Mapping[str, Any]) -> tuple[float, float]:
-    """Time (us a particle) and error of the velocity at points, interpolated from the nodes of a volume."""
+    """Time (µs a particle) and error of the velocity at points, interpolated from the nodes of a volume."""
     spacing = LENGTH / round(LENGTH / (choice["spacing"] * choice["width"]))
     bounds = dict.fromkeys("xyz", (0.0, LENGTH))
     squares = []

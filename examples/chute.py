@@ -72,8 +72,9 @@ def draw(profile: xr.Dataset, path: Path) -> None:
     dense_mu.text(0.44, 22, r"$\tan 24^\circ$", ha="right")
     dense_mu.set_xlim(0.3, 0.6)
     for ax in axes[:, 0]:
-        ax.set_ylabel("$z$")
-    figure.suptitle(f"Chute flow at 24°, Lucy kernel, width {profile.attrs['width']:.2f} d")
+        ax.set_ylabel("$z$ [$d$]")
+    title = f"Chute flow at 24°, Lucy kernel, width {profile.attrs['width']:.2f} d"
+    figure.suptitle(f"{title} (grey: three steps, colours: their mean)")
     figure.savefig(path, dpi=130)
 
 

@@ -50,14 +50,14 @@ flow = f.sel(z=slice(2, 20))
 fig, (ax, right) = plt.subplots(1, 2, sharey=True, layout="constrained")
 ax.plot(V, f.z, "o", ms=4, label="coarse-grained")
 ax.plot(bagnold(flow.z, V0, A, h), flow.z, "k-", label="Bagnold's profile")
-ax.set(xlabel=r"velocity $V_x$ [$\sqrt{g d}$]", ylabel="height $z$")
-ax.legend()
+ax.set(xlabel=r"velocity $V_x$ [$\sqrt{g d}$]", ylabel="height $z$", ylim=(None, 30))
+ax.legend(loc="upper left")
 T = f.granular_temperature
 noise = f.granular_temperature_error
 right.fill_betweenx(f.z, T - 2 * noise, T + 2 * noise, alpha=0.3, lw=0, label="two standard errors")
 right.plot(T, f.z, label="coarse-grained")
 right.set(xlabel="granular temperature [$g d$]")
-right.legend()
+right.legend(loc="upper right")
 plt.show()
 
 inertial = flow.inertial_number.median()

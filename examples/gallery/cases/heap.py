@@ -30,7 +30,7 @@ ax.plot(surface.x, surface.height, "r-", lw=1, label="free surface")
 line = part.height.mean() + fit.slope.item() * (part.x - part.x.mean())
 ax.plot(part.x, line, "w--", label=f"slope {angle:.1f} ± {error:.1f}°")
 ax.set(xlim=(0, 150), ylim=(0, 32), xlabel="$x$", ylabel="$y$", aspect="equal")
-ax.legend(loc="upper right")
+ax.legend(loc="upper right", facecolor="0.6")
 plt.show()
 
 # %%

@@ -63,12 +63,12 @@ ax.errorbar(
     ms=3,
     label="two standard errors",
 )
-ax.set(xlabel="velocity $V_x$ [$d/t$]", ylabel="height $z$")
-ax.legend()
+ax.set(xlabel="velocity $V_x$ [$d/t$]", ylabel="height $z$", ylim=(None, 15))
+ax.legend(loc="upper left")
 shear, normal = (-mean.stress.sel(component=a, direction="z") for a in "xz")
 right.plot(shear, mean.z, label=r"$-\sigma_{xz}$")
 right.plot(-normal, mean.z, label=r"$\sigma_{zz}$")
-right.set(xlabel="stress [$m / d\\,t^2$]")
+right.set(xlabel="stress [$m / (d\\,t^2)$]")
 right.legend()
 plt.show()
 

@@ -54,7 +54,7 @@ expected = (
     1 + 3 * expected_2d
 ) / 4  # largest eigenvalue of (3 <n n> - I) / 2 for directors in a plane
 
-fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4))
+fig, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
 largest = whole.cg.principal("nematic_tensor").nematic_tensor_principal.sel(principal=1)
 left.plot(time * rate.mean(), largest, label="all rods")
 left.axhline(expected, color="k", ls="--", label="Jeffery, long times")
@@ -66,7 +66,7 @@ of_layers = layers.cg.principal("nematic_tensor").nematic_tensor_principal.sel(p
 for k, strain in enumerate((0, 5, 15, 59)):
     right.plot(of_layers.isel(time=k), layers.z, label=f"strain {strain}")
 right.set(xlabel="largest eigenvalue of $Q$", ylabel="height $z$", xlim=(0, 1))
-right.legend(loc="lower left", framealpha=0.5)
+right.legend(loc="center left", bbox_to_anchor=(1, 0.5))
 plt.show()
 
 # %%

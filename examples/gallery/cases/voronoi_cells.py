@@ -28,7 +28,7 @@ left.plot(f.volume_fraction, f.z, "k-", label="kernel")
 left.set(xlabel="packing fraction", ylabel="height $z$", ylim=(0, 11))
 left.legend()
 right.hist(cells.voronoi_neighbours.where(ds.frozen == 0).to_numpy().ravel(), np.arange(8.5, 22))
-right.set(xlabel="neighbours of a cell", ylabel="grains")
+right.set(xlabel="neighbours of a cell", ylabel="grains", xticks=range(10, 22, 2))
 plt.show()
 
 # %%
