@@ -39,9 +39,9 @@ def picture_of(script: str) -> np.ndarray:
     try:
         with plt.rc_context(STYLE), contextlib.redirect_stdout(io.StringIO()):
             runpy.run_path(str(GALLERY / f"{script}.py"))
-        figure = plt.figure(plt.get_fignums()[0])
-        buffer = io.BytesIO()
-        figure.savefig(buffer, dpi=70)
+            figure = plt.figure(plt.get_fignums()[0])
+            buffer = io.BytesIO()
+            figure.savefig(buffer, dpi=70)  # makes ticks, in the style as well
     finally:
         plt.close("all")
     buffer.seek(0)
