@@ -30,13 +30,15 @@ def test_results_of_one_scene_are_the_same_bits(options):
     assert differ <= {"history"}
 
 
-def test_lengths_of_averages_are_plain_text():
+def test_lengths_of_averages_are_plain_text_and_json_of_earlier_versions_is_read():
     ds = xcg.datasets.random_scene(50, seed=1)
     f = ds.cg.coarse_grain("density", axes="z", extent={"x": 2.0, "y": 1 / 3})
     assert f.attrs["extent"] == "x = 2.0, y = 0.3333333333333333"
-    again = ds.cg.coarse_grain("density", like=f)
-    assert again.attrs["extent"] == f.attrs["extent"]
-    xr.testing.assert_equal(again.density, f.density)
+    old = f.drop_vars("setup").assign_attrs(extent='{"x": 2.0, "y": 0.3333333333333333}')
+    for pattern in (f, old):
+        again = ds.cg.coarse_grain("density", like=pattern)
+        assert again.attrs["extent"] == f.attrs["extent"]
+        xr.testing.assert_equal(again.density, f.density)
 
 
 def test_nodes_of_a_reversed_result_are_the_same():
@@ -72,6 +74,15 @@ def test_results_of_other_scenes_have_the_same_nodes():
     )
     np.testing.assert_allclose(g.contact_stress, expected.contact_stress, atol=1e-9, rtol=1e-9)
     assert b.cg.explain(FIELDS, like=f).kernel.width == f.attrs["width"]
+
+
+def test_averages_over_cells_of_earlier_versions_are_no_pattern():
+    ds = xcg.datasets.random_scene(50)
+    f = ds.cg.coarse_grain("density", axes="z")
+    again = ds.cg.coarse_grain("density", like=f.assign_attrs(sampling="node"))
+    xr.testing.assert_equal(again, f)
+    with pytest.raises(ValueError, match=r"averages over cells.*give width=, spacing= and bounds="):
+        ds.cg.coarse_grain("density", like=f.assign_attrs(sampling="cell"))
 
 
 def test_options_of_results_are_those_of_the_table():

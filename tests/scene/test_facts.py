@@ -1,12 +1,14 @@
 """The coordinate `setup`, which carries attributes through xarray."""
 
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
-from xcg.scene.facts import setup_of, with_facts, with_setup
+from xcg.scene.facts import RENAMED, setup_of, with_facts, with_setup
 
 ATTRS = {
     "periodic": "xy",
@@ -169,6 +171,58 @@ def test_files_that_differ_are_refused_when_they_are_opened_as_one(tmp_path, mon
     with xr.open_mfdataset(paths[1:], **options) as both:
         assert both.setup.ndim == 0
         assert both.cg.time_average().density.notnull().all()
+
+
+def test_files_of_earlier_versions_open():
+    """Their coordinate is JSON; averages have the code of the same facts."""
+    with xr.open_dataset(Path(__file__).parents[1] / "data" / "setup_as_json" / "f.nc") as f:
+        assert f.setup.item().startswith("{")
+        means = [f.cg.time_average(), f.drop_attrs().cg.time_average()]
+        joined = xr.concat(
+            [f, with_facts(f).assign_coords(time=[1.0])],
+            "time",
+            coords="different",
+            compat="equals",
+        )
+        means.append(joined.cg.time_average())
+        for mean in means:
+            assert len(mean.setup.item()) == 8
+            assert mean.setup.attrs["width"] == 1.0
+            np.testing.assert_allclose(mean.inertial_number, f.inertial_number[0], rtol=1e-12)
+
+
+def test_saved_results_are_read_with_the_present_names_of_fields(tmp_path):
+    chute = xcg.datasets.open("chute")
+    f = chute.cg.coarse_grain(["boundary_force_density", "stress"], axes="z", width=1.0)
+    mean = f.cg.time_average()
+    old = {new: name for name, new in RENAMED.items() if new in f}
+    assert old == {"boundary_force_density": "wall_traction"}
+    f.rename(old).to_netcdf(tmp_path / "old.nc")
+    with xr.open_dataset(tmp_path / "old.nc") as back:
+        xr.testing.assert_identical(back.cg.time_average().drop_attrs(), mean.drop_attrs())
+        drawn = {"component": "z", "index": 0}
+        assert back.cg.plot("boundary_force_density", **drawn) is not None
+
+
+def test_saved_depth_averages_are_read_with_the_present_name_of_the_solid_depth():
+    f = xcg.datasets.open("chute").cg.depth_average("z").compute()
+    old = f.rename(solid_depth="depth")
+    xr.testing.assert_identical(with_facts(old), with_facts(f))
+    other = xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z", width=1.0)
+    assert "depth" in with_facts(other.assign(depth=other.density))
+
+
+def test_variables_of_scenes_may_have_former_names_of_fields():
+    ds = xcg.datasets.simple_cubic(3)
+    ds["wall_traction"] = ds.mass.dims, ds.mass.values
+    assert "wall_traction" in with_facts(ds)
+
+
+def test_former_names_of_fields_in_a_request_are_errors_with_the_present_ones():
+    ds = xcg.datasets.simple_cubic(3)
+    for old, new in RENAMED.items():
+        with pytest.raises(ValueError, match=f"unknown field '{old}'; did you mean '{new}'"):
+            ds.cg.coarse_grain(old, fluid_viscosity=1.0)
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])

@@ -17,6 +17,7 @@ from xcg.common.checks import check_choice
 from xcg.common.messages import did_you_mean
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES, REGISTERED, fields_of
+from xcg.scene.facts import with_present_names
 from xcg.scene.frame import step_at, with_time
 from xcg.scene.schema import COMPONENTS
 
@@ -65,6 +66,7 @@ class Shown:
     def part(self, f: xr.Dataset) -> xr.Dataset:
         """Return the field, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
         check_choice("shading", self.shading, Shading)
+        f = with_present_names(f)
         name = self._name_in(f)
         cut = _slice(f, self.at)
         axes = axes_of(cut)

@@ -42,6 +42,11 @@ def request_like(request: Request) -> Request:
         raise ValueError(
             "like= has cylindrical axes: give axes=, spacing= and bounds= to both calls"
         )
+    if f.attrs.get("sampling") == "cell":
+        raise ValueError(
+            "like= holds averages over cells, which earlier versions computed (sampling='cell'): "
+            "give width=, spacing= and bounds= to both calls"
+        )
     if np.ndim(f.attrs["width"]):
         raise ValueError("like= has a width for each group: give the same width= to both calls")
     saved = saved_options(f.attrs)

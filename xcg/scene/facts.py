@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,7 +41,9 @@ def extent_text(lengths: Mapping[str, float]) -> str:
 
 
 def _lengths_of(text: str) -> dict[str, float]:
-    """Return the lengths of averages (m) by axis from the attribute ``extent``."""
+    """Return the lengths of averages (m) by axis from the attribute ``extent``, which was JSON in earlier versions."""
+    if text.startswith("{"):
+        return json.loads(text)
     lengths = {}
     for part in text.split(", "):
         axis, length = part.split(" = ")
@@ -83,6 +85,7 @@ SAVED_OPTIONS: dict[str, SavedOption] = {
     "size": SavedOption(str),
     "size_diameter": SavedOption(float, always=False, for_like=False),
     "temperature": SavedOption(str),
+    "sampling": SavedOption(str, always=False, for_like=False),  # of earlier versions
     "averaged_axes": SavedOption(str, for_like=False),
     "wrapped_axes": SavedOption(str, for_like=False),
     "extent": SavedOption(_lengths_of, always=False),
@@ -102,6 +105,28 @@ def saved_options(attrs: Mapping[Any, Any]) -> dict[str, Any]:
         if name in attrs:
             options[name] = attrs[name] if np.ndim(attrs[name]) else option.read(attrs[name])
     return options
+
+
+# present names of fields, by their names in results of earlier versions
+RENAMED = {
+    "wall_traction": "boundary_force_density",
+    "effective_viscosity": "relative_viscosity",
+}
+# the same of results of depth_average, which alone have a mass per area
+_OF_DEPTH = {"depth": "solid_depth"}
+
+
+def with_present_names(f: xr.Dataset) -> xr.Dataset:
+    """Return a result with its fields, and their errors, under their present names."""
+    names = {}
+    table = RENAMED
+    if "mass_per_area" in f.variables:
+        table = RENAMED | _OF_DEPTH
+    for old, new in table.items():
+        for end in ("", "_error", "_error_from", "_bias"):
+            if old + end in f.variables and new + end not in f.variables:
+                names[old + end] = new + end
+    return f.rename(names)
 
 
 _CODE = re.compile("[0-9a-f]{8}")  # as the coordinate holds it
@@ -126,7 +151,9 @@ def with_setup(ds: xr.Dataset) -> xr.Dataset:
 def with_facts(ds: xr.Dataset) -> xr.Dataset:
     """Return the Dataset with the attributes that it lost and its coordinate `setup` has.
 
-    Attributes that are there are kept, as users may have changed them.
+    Attributes that are there are kept, as users may have changed them. Fields of results get their
+    present names, and text of earlier versions (JSON) in the coordinate becomes a code with
+    attributes.
 
     Raises
     ------
@@ -134,6 +161,8 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
         If parts with different facts were joined, the coordinate has lost its attributes, too, or is
         something else.
     """
+    if "particle" not in ds.dims:  # scenes may call their variables anything
+        ds = with_present_names(ds)
     if SETUP not in ds.coords:
         return ds
     setup = ds.variables[SETUP]
@@ -141,8 +170,7 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
     code = _code_of(facts)
     values = dict.fromkeys(np.ravel(setup.to_numpy()).tolist())
     if list(values) != [code]:
-        _require_code_of(ds, values)
-        return ds
+        return _with_unlike_facts(ds, values)
     _SEEN[code] = facts
     lost = {name: value for name, value in facts.items() if name not in ds.attrs}
     if lost:
@@ -150,24 +178,27 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
     return ds
 
 
-def _require_code_of(ds: xr.Dataset, values: Collection[Any]) -> None:
-    """Raise SceneError unless the attributes of a Dataset have the one code among `values`, those of its coordinate.
-
-    The attributes of the coordinate have another.
-    """
+def _with_unlike_facts(ds: xr.Dataset, values: Iterable[Any]) -> xr.Dataset:
+    """Return `with_facts` of a Dataset whose coordinate has `values` that are not the code of its attributes."""
+    parts = {}
     for value in values:
+        facts = _facts_in(ds.variables[SETUP].attrs)
+        code = value
         if not (isinstance(value, str) and _CODE.fullmatch(value)):
-            raise SceneError(
-                f"the coordinate {SETUP!r} holds {plain(value)}, expected the code that xcg writes: leave it out, "
-                f"ds.drop_vars({SETUP!r}), or give a coordinate of your own another name"
-            )
-    if len(values) > 1:
+            facts = _facts_in(_json_object(value))
+            code = _code_of(facts)
+            ds = ds.assign_coords({SETUP: setup_of(facts)})
+        parts[code] = facts
+    if len(parts) > 1:
         raise SceneError(
-            f"parts that differ were joined: {_differences(list(values))}. Fields and averages need parts of one kind: "
+            f"parts that differ were joined: {_differences(list(parts))}. Fields and averages need parts of one kind: "
             "take the parts one by one, and join their averages"
         )
-    for code in values:
-        _require_code(ds, code, _facts_in(ds.variables[SETUP].attrs))
+    for code, facts in parts.items():
+        if _code_of(facts) == code:  # that of the text of an earlier version
+            return with_facts(ds)
+        _require_code(ds, code, facts)
+    return ds
 
 
 def _facts_in(attrs: Mapping[Any, Any]) -> dict[str, Any]:
@@ -190,6 +221,20 @@ def _code_of(facts: Mapping[str, Any]) -> str:
             values = values.astype(float)
         texts.append(f"{name}={values.tolist()}")
     return hashlib.blake2b("\n".join(texts).encode(), digest_size=4).hexdigest()
+
+
+def _json_object(text: Any) -> dict[str, Any]:
+    """Return the facts that a coordinate of an earlier version holds as text."""
+    try:
+        facts = json.loads(text)
+    except (TypeError, ValueError):  # of values that are no text, and of other texts
+        facts = None
+    if not isinstance(facts, dict):
+        raise SceneError(
+            f"the coordinate {SETUP!r} holds {plain(text)}, expected the code that xcg writes: leave it out, "
+            f"ds.drop_vars({SETUP!r}), or give a coordinate of your own another name"
+        )
+    return facts
 
 
 def _require_code(ds: xr.Dataset, code: str, facts: Mapping[str, Any]) -> None:

@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from xcg.scene.facts import with_setup
 
 MESH = {"width": 1.0, "axes": "z", "bounds": {"z": (0.0, 4.5)}, "spacing": 0.5}
 NUMBERS = ["density", "stress", "friction_coefficient"]
@@ -251,3 +252,15 @@ def test_chains_without_attributes_are_refused():
     chains = ds.cg.force_chains()
     with pytest.raises(xcg.SceneError, match="lost its attributes periodic, dimension, min_length"):
         chains.drop_attrs().cg.chain_table()
+
+
+@pytest.mark.parametrize("sampling", ["node", "cell"])
+def test_results_of_earlier_versions_open_and_are_averaged(scenes, tmp_path, sampling):
+    """They name how they were sampled."""
+    f = result(scenes[0], spacing=1.0)
+    earlier = with_setup(f.assign_attrs(sampling=sampling))
+    earlier.to_netcdf(tmp_path / "earlier.nc")
+    with xr.open_dataset(tmp_path / "earlier.nc") as opened:
+        assert opened.attrs["sampling"] == sampling
+        averages = opened.drop_attrs(deep=False).cg.time_average()
+        xr.testing.assert_equal(averages.drop_vars("setup"), f.cg.time_average().drop_vars("setup"))

@@ -30,7 +30,7 @@ from xcg.fields.formulas.rows import (
     rheology,
 )
 from xcg.fields.sums.moments import MOMENTS, Moment, load_bearing_sliding, sliding_contacts
-from xcg.scene.facts import SETUP, saved_options
+from xcg.scene.facts import RENAMED, SETUP, saved_options
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 
@@ -69,9 +69,7 @@ REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
 FIELDS: Mapping[str, Field] = _Fields(REGISTERED, _ROWS)
 # Fields by the symbols and words that others use for them.
-OTHER_NAMES = {
-    "wall_traction": "boundary_force_density",
-    "effective_viscosity": "relative_viscosity",
+OTHER_NAMES = RENAMED | {
     "phi": "volume_fraction",
     "nu": "volume_fraction",
     "solid_fraction": "volume_fraction",
