@@ -40,7 +40,7 @@ def draw(fc: xr.Dataset, path: Path) -> None:
     ax = fc.cg.plot_chains(index=-1, ax=figure.add_subplot(grid[:, :2]))
     ax.set_title("chains of the last step, line width by force")
     share = fc.length_share.weighted(fc.chain_count).mean("time")
-    share.plot.line("o", yscale="log", ax=figure.add_subplot(grid[0, 2]))
+    share.where(share > 0).plot.line("o", yscale="log", ax=figure.add_subplot(grid[0, 2]))
     rose = fc.cg.plot_rose(index=-1, ax=figure.add_subplot(grid[1, 2], projection="polar"))
     rose.plot(np.deg2rad([135, 315]), [rose.get_rmax()] * 2, "k:", lw=1)
     rose.set_title("links by force\n(dotted: compressive diagonal)", fontsize="medium")
