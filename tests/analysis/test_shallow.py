@@ -9,12 +9,13 @@ import xcg
 L, H = 20.0, 10.0
 
 
-def flow(profile, count=40_000, seed=1):
-    """Small grains everywhere below a height H, that move along x as the profile says at each height."""
+def flow(profile, count=40_000, seed=1, floor=0.0):
+    """Small grains up to a height H above the floor, that move along x as the profile says at each height."""
     rng = np.random.default_rng(seed)
     position = rng.uniform(0, 1, (count, 3)) * [L, 4.0, H]
     position[:, 2] = np.linspace(0, H, count)
     velocity = profile(position[:, 2] / H)[:, None] * [1.0, 0.0, 0.0]
+    position[:, 2] += floor
     return xcg.scene_from_arrays(
         position, velocity=velocity, diameter=np.full(count, 0.3), density=1.0,
         box={"x": (0, L), "y": (0, 4)}, periodic="xy",
@@ -54,7 +55,7 @@ def test_integrals_over_the_depth_equal_those_of_the_grains():
 
 
 def test_the_thickness_is_that_of_the_slab_and_the_solid_depth_that_of_its_grains():
-    ds = flow(np.ones_like)
+    ds = flow(np.ones_like, floor=3.0)
     d = ds.cg.depth_average("z", axes="", width=0.3)
     assert d.thickness.item() == pytest.approx(H, abs=0.02)
     solid = float(ds.volume.sum()) / (L * 4.0)
