@@ -83,10 +83,10 @@ def seconds(run: Callable[[], object], repeat: int) -> float:
     return best
 
 
-def ours(packing: Packing, method: str, repeat: int) -> Measured:
+def ours(packing: Packing, levels: int | None, repeat: int) -> Measured:
     """`find_pairs`, whole, or cell lists and a share of the search."""
     count = len(packing.radius)
-    lists = packing.lists(1 if method == "linked-cell" else None)
+    lists = packing.lists(levels)
     probe = [
         lists.find(first, first + 10)[2] for first in np.linspace(0, count - 10, 20, dtype=int)
     ]
@@ -95,7 +95,7 @@ def ours(packing: Packing, method: str, repeat: int) -> Measured:
 
         def run() -> object:
             return find_pairs(
-                packing.position, packing.radius, packing.box, "xyz", method=method, threads=1
+                packing.position, packing.radius, packing.box, "xyz", levels=levels, threads=1
             )
 
         return Measured(
@@ -186,8 +186,8 @@ def measure(kind: str, count: int, ratios: tuple[int, ...], repeat: int) -> list
             "count": len(packing.radius),
             "pairs": len(pairs) / len(packing.radius),
             "levels": len(packing.lists(None).levels.largest),
-            "hierarchical": ours(packing, "hierarchical", repeat),
-            "linked": ours(packing, "linked-cell", repeat),
+            "hierarchical": ours(packing, None, repeat),
+            "linked": ours(packing, 1, repeat),
             "tree": tree(packing, min(repeat, 2)),
             "freud": with_freud(packing, min(repeat, 2)),
         }

@@ -55,14 +55,14 @@ FRAMES = [
 ]
 
 
-@pytest.mark.parametrize("method", ["hierarchical", "linked-cell"])
+@pytest.mark.parametrize("levels", [None, 1])
 @pytest.mark.parametrize(
     ("name", "file", "frozen", "stiffness"), FRAMES, ids=[f"{n}-{f[:8]}" for n, f, *_ in FRAMES]
 )
-def test_contacts_are_those_that_lammps_lists(name, file, frozen, stiffness, method):
+def test_contacts_are_those_that_lammps_lists(name, file, frozen, stiffness, levels):
     folder = real_data(name)
     ds = xcg.open_scene(folder / f"particles.{file}", frozen=frozen).load()
-    ours = found_in(ds.cg.find_contacts(method=method, **stiffness))
+    ours = found_in(ds.cg.find_contacts(levels=levels, **stiffness))
     theirs = listed(folder / f"contacts.{file}")
     both = sorted(theirs)
     assert set(ours) == set(theirs)
@@ -91,7 +91,7 @@ def test_contact_of_two_spheres_has_their_geometry_and_force():
     expected = 4 / 3 * 2 * np.sqrt(1 / 3) * 0.1**1.5
     np.testing.assert_allclose(hertz.contact_force.values[0, 0], [0, -expected, 0])
     assert "contact_force" not in ds.cg.find_contacts()
-    assert "find_contacts(method='hierarchical', skin=0.0, k_n=10.0)" in c.attrs["history"]
+    assert "find_contacts(skin=0.0, k_n=10.0)" in c.attrs["history"]
 
 
 def test_a_gap_within_the_skin_carries_no_force():
@@ -198,7 +198,6 @@ def test_too_many_contacts_raise_and_suggest_a_bound():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "grid"}, "'hierarchical', 'linked-cell'"),
         ({"skin": float("nan")}, "skin=nan"),
         ({"levels": -1}, "levels=-1"),
         ({"max_contacts": 1.5}, "max_contacts=1.5"),

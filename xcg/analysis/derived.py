@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import POSITIVE, axis_vector, check, is_positive
+from xcg.common.checks import POSITIVE, axis_vector, check
 from xcg.common.messages import SceneError
 from xcg.scene.box import BoxMotion
 from xcg.scene.complete import superquadric_integrals
@@ -25,7 +24,6 @@ from xcg.steps.analysis import FrameAnalysis, Step, run
 @takes_scene
 def derive_director(
     scene: Scene,
-    quaternion: Sequence[str] = ("quat_w", "quat_x", "quat_y", "quat_z"),
     *,
     axis: str | Sequence[float] = "z",
 ) -> xr.Dataset:
@@ -38,10 +36,8 @@ def derive_director(
     Parameters
     ----------
     ds : xarray.Dataset
-        A scene with the four numbers as variables of the particles, such as
-        ``xcg.open_scene(..., names={"c_q[1]": "quat_w", "c_q[2]": "quat_x", ...})``.
-    quaternion : four names
-        Of w, x, y and z.
+        A scene with the four numbers as the variables ``quat_w``, ``quat_x``, ``quat_y`` and
+        ``quat_z``, such as ``xcg.open_scene(..., names={"c_q[1]": "quat_w", ...})``.
     axis : str or three floats
         The axis in the body: "x", "y", "z", or a vector.
 
@@ -57,7 +53,7 @@ def derive_director(
     SceneError
         If a variable is missing.
     ValueError
-        If there are not four names, or the axis is not a direction.
+        If the axis is not a direction.
 
     Examples
     --------
@@ -67,11 +63,7 @@ def derive_director(
     >>> derive_director(ds).director.values.round(6)[0, 0].tolist()
     [0.0, -1.0, 0.0]
     """
-    names = list(quaternion)
-    if len(names) != 4:
-        raise ValueError(
-            f"quaternion={quaternion!r}: expected the names of four variables: w, x, y and z"
-        )
+    names = [f"quat_{part}" for part in "wxyz"]
     scene.require(names, "derive_director")
     ds = scene.ds
     a = axis_vector("axis", axis)
@@ -100,9 +92,7 @@ def derive_director(
 @takes_scene
 def derive_superquadric(
     scene: Scene,
-    half_axes: Sequence[str] = ("half_axis_x", "half_axis_y", "half_axis_z"),
     *,
-    exponents: Sequence[str | float] | None = None,
     density: float | None = None,
 ) -> xr.Dataset:
     """Add volume, mass, diameter and moments of inertia of ellipsoids and superquadrics; lazy where the scene is.
@@ -120,12 +110,9 @@ def derive_superquadric(
     Parameters
     ----------
     ds : xarray.Dataset
-        A scene with the half-axes (m) as variables of the particles.
-    half_axes : three names
-        Of a, b and c.
-    exponents : two names or numbers, optional
-        n1 and n2, by default ``exponent_1`` and ``exponent_2`` where the scene holds them, else 2.
-        Ellipsoids have 2 and 2, boxes with sharp edges large ones, such as 1e6.
+        A scene with a, b and c as the variables ``half_axis_x``, ``half_axis_y`` and
+        ``half_axis_z`` (m), and with n1 and n2 as ``exponent_1`` and ``exponent_2``, without which
+        they are 2. Ellipsoids have 2 and 2, boxes with sharp edges large ones, such as 1e6.
     density : float, optional
         Of the material (kg/m^3). Without it the scene's masses are kept, or else its densities.
 
@@ -142,7 +129,7 @@ def derive_superquadric(
     SceneError
         If a variable is missing, or the scene has neither mass nor density and none is given.
     ValueError
-        If there are not three half-axes and two exponents, or a number is not positive.
+        If `density` is not positive.
 
     Examples
     --------
@@ -153,26 +140,17 @@ def derive_superquadric(
     (array([[12.566371]]), [[[25.132741, 25.132741, 5.026548]]])
     """
     ds = scene.ds
-    axes = list(half_axes)
-    if exponents is None:
-        defaults = {"exponent_1": 2.0, "exponent_2": 2.0}
-        exponents = [name if name in ds else number for name, number in defaults.items()]
-    powers: list[Any] = list(exponents)
-    named = [power for power in powers if isinstance(power, str)]
-    valid = all(power in named or is_positive(power) for power in powers)
-    if len(axes) != 3 or len(powers) != 2 or not valid:
-        raise ValueError(
-            f"{half_axes=}, {exponents=}: expected three names, and two names or positive numbers"
-        )
+    axes = [f"half_axis_{axis}" for axis in COMPONENTS]
     check("density", density, POSITIVE, "kg/m^3", optional=True)
     keeps_mass = density is None and "mass" in ds
-    required = [*axes, *named]
+    required = [*axes]
     if density is None and not keeps_mass:
         required.append("density")
     scene.require(required, "derive_superquadric")
-    variables = {name: ds[name].drop_attrs(deep=False) for name in required}
+    exponents = [name for name in ("exponent_1", "exponent_2") if name in ds]
+    variables = {name: ds[name].drop_attrs(deep=False) for name in (*required, *exponents)}
     a, b, c = (variables[name] for name in axes)
-    n1, n2 = (variables.get(power, power) for power in powers)
+    n1, n2 = (variables.get(name, 2.0) for name in ("exponent_1", "exponent_2"))
     volume, square_x, square_z = superquadric_integrals(n1, n2)
     volume = volume * a * b * c
     new: dict[str, xr.DataArray] = {"volume": volume, "diameter": (6 / np.pi * volume) ** (1 / 3)}

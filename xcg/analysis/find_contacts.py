@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.analysis.pairs import PairMethod, check_search, pairs_of
+from xcg.analysis.pairs import check_search, pairs_of
 from xcg.common.checks import POSITIVE, above, check, whole
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import threads_for
@@ -94,7 +94,6 @@ class _Search(FrameAnalysis):
 
     stiffness: Stiffness
     skin: float
-    method: PairMethod
     levels: int | None
     max_contacts: int | None
 
@@ -124,7 +123,6 @@ class _Search(FrameAnalysis):
             radius,
             lattice,
             skin=self.skin,
-            method=self.method,
             levels=self.levels,
             threads=threads_for(len(position), self.threads),
             max_pairs=self.max_contacts,
@@ -194,7 +192,6 @@ class _Search(FrameAnalysis):
 def find_contacts(
     scene: Scene,
     *,
-    method: PairMethod = "hierarchical",
     levels: int | None = None,
     skin: float = 0.0,
     k_n: float | None = None,
@@ -213,10 +210,9 @@ def find_contacts(
     ----------
     ds : xarray.Dataset
         A scene with diameters. Contacts that it holds are replaced.
-    method : str
-        "hierarchical" or "linked-cell" (one level of cells, to compare with).
     levels : int, optional
-        Number of levels of the hierarchy; by default one for each factor of 3 in size.
+        Number of levels of the hierarchy; by default one for each factor of 3 in size. 1 is the
+        method of linked cells, to compare with.
     skin : float
         Width of gaps that still count as contacts (m); their overlap is negative and their force
         zero.
@@ -265,11 +261,11 @@ def find_contacts(
     ds = scene.ds
     scene.require(("diameter",), "find_contacts")
     require_steps(ds, "find_contacts")
-    check_search(skin, method, levels)
+    check_search(skin, levels)
     check("max_contacts", max_contacts, whole(0), optional=True)
     if max_contacts is not None:
         max_contacts = int(max_contacts)
     elif is_lazy(ds, [n for n in (*READ, *OPTIONAL) if n in ds]):
         max_contacts = MOST_CONTACTS[scene.setup.dimension] * ds.sizes["particle"]
-    analysis = _Search(Stiffness(k_n, E, nu), skin, method, levels, max_contacts)
+    analysis = _Search(Stiffness(k_n, E, nu), skin, levels, max_contacts)
     return run(scene, analysis, call=call)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import NOT_NEGATIVE, check, check_choice, whole
+from xcg.common.checks import NOT_NEGATIVE, check, whole
 from xcg.common.messages import SceneError
 from xcg.compiled import pairs as loops
 from xcg.compiled._jit import THREADS, for_parts, threads_for
@@ -200,9 +199,6 @@ def _extent(position: NDArray, corner: NDArray, period: NDArray) -> tuple[NDArra
     return np.where(periodic, corner, lower), np.where(periodic, corner + period, upper)
 
 
-PairMethod: TypeAlias = Literal["hierarchical", "linked-cell"]
-
-
 def find_pairs(
     position: ArrayLike,
     radius: ArrayLike,
@@ -211,7 +207,6 @@ def find_pairs(
     *,
     lattice: ArrayLike | Mapping[str, ArrayLike] | None = None,
     skin: float = 0.0,
-    method: PairMethod = "hierarchical",
     levels: int | None = None,
     threads: int | None = None,
     max_pairs: int | None = None,
@@ -241,12 +236,10 @@ def find_pairs(
         `xcg.scene_from_arrays` (m).
     skin : float
         Width of gaps that still count (m).
-    method : str
-        "hierarchical", or "linked-cell": one level for all sizes, the common method, to compare
-        with.
     levels : int, optional
         Number of levels, spaced logarithmically from the smallest to the largest radius; levels
-        that hold no particles are left out. By default one for each factor of 3.
+        that hold no particles are left out. By default one for each factor of 3. With 1 the search
+        is that of linked cells, the common method.
     threads : int, optional
         Threads that search; by default all cores for many particles. The result does not depend on
         it.
@@ -265,7 +258,7 @@ def find_pairs(
         the box is unbounded along a periodic axis, or there are more than max(10^6, 200 n, `max_pairs`)
         pairs.
     ValueError
-        If `method`, `skin`, `levels` or `threads` is not as expected.
+        If `skin`, `levels` or `threads` is not as expected.
 
     Examples
     --------
@@ -273,7 +266,7 @@ def find_pairs(
     [[0, 1]]
     """
     centres, radii = _spheres(position, radius)
-    check_search(skin, method, levels, threads)
+    check_search(skin, levels, threads)
     if box is not None and not isinstance(box, Mapping) and np.shape(box) == (2, 2):
         box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
     periodic = periodic_axes(periodic)
@@ -284,7 +277,6 @@ def find_pairs(
         radii,
         images,
         skin=skin,
-        method=method,
         levels=levels,
         threads=threads,
         max_pairs=max_pairs,
@@ -297,7 +289,6 @@ def pairs_of(
     lattice: Lattice,
     *,
     skin: float,
-    method: str = "hierarchical",
     levels: int | None = None,
     threads: int | None,
     max_pairs: int | None,
@@ -307,8 +298,6 @@ def pairs_of(
     if len(centres) < 2:
         return np.empty((0, 2), "int64")
     count = len(centres)
-    if method == "linked-cell":
-        levels = 1
     lists, whose = cells_of(
         centres, radii, lattice, skin=skin, levels=levels, threads=threads, source=source
     )
@@ -405,9 +394,8 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
     return np.ascontiguousarray(centres), radii
 
 
-def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
+def check_search(skin: float, levels: int | None, threads: int | None = None) -> None:
     """Raise ValueError for invalid options of the search."""
-    check_choice("method", method, PairMethod)
     check("skin", skin, NOT_NEGATIVE, "m")
     check("levels", levels, whole(1), optional=True)
     check("threads", threads, whole(1), optional=True)

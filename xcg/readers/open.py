@@ -250,34 +250,7 @@ def open_scene(
     ...     names={"c_nc": "coordination_number", "c_1[1]": "contact_i", "c_1[2]": "contact_j"},
     ... )  # doctest: +SKIP
     """
-    arguments = Arguments(
-        particles=particles,
-        contacts=contacts,
-        walls=walls,
-        engine=engine,
-        names=names,
-        times=times,
-        box=box,
-        periodic=periodic,
-        lattice=lattice,
-        shear_rate=shear_rate,
-        gravity=gravity,
-        density=density,
-        diameter=diameter,
-        mass=mass,
-        frozen=frozen,
-        units=units,
-        dimension=dimension,
-        plane=plane,
-        thickness=thickness,
-        shape=shape,
-        allow_unknown=allow_unknown,
-        sides=sides,
-        missing=missing,
-        chunks=chunks,
-        on_error=on_error,
-        engine_options=engine_options,
-    )
+    arguments = Arguments(**locals())
     if engine is None and "mapping" not in engine_options:
         saved = saved_path(particles)
         if saved:
