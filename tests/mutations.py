@@ -797,6 +797,49 @@ TABLE = [
         "test_faces_are_those_of_both_cells",
     ),
     Mutation(
+        "compiled/voronoi.py", "2.0 * math.sqrt(farthest * gap2)", "math.sqrt(farthest * gap2)",
+        "test_sizes_one_to_three_are_half_spaces_and_fill_the_box",
+    ),
+    Mutation(
+        "compiled/voronoi.py", "if gap2 < square:", "if 2.0 * gap2 < square:",
+        "test_sizes_one_to_three_are_half_spaces_and_fill_the_box",
+    ),
+    Mutation(
+        "compiled/voronoi.py", "share = above[t] / (above[t] - min(above[stays], 0.0))", "share = 0.5",
+        "test_sizes_one_to_three_are_half_spaces_and_fill_the_box",
+    ),
+    Mutation(
+        "fields/advice.py", "is_small = noise <= CONSIDERABLE_FLOOR * shown", "is_small = noise > CONSIDERABLE_FLOOR * shown",
+        "test_the_noise_of_inertial_numbers_is_that_of_the_fluctuations_of_the_step "
+        "test_the_floor_of_a_shear_rate_is_relative_to_the_fluctuations",
+    ),
+    Mutation(
+        "fields/advice.py", "is_small = shown < _CONTRADICTED * floor", "is_small = False",
+        "test_flows_without_fluctuations_have_no_noise test_contacts_of_a_lattice_have_no_noise",
+    ),
+    Mutation(
+        "fields/advice.py", "temperature = min(temperature, float(np.median(of_fits)))", "temperature = temperature",
+        "test_a_converging_flow_without_fluctuations_has_no_noise test_flows_without_fluctuations_have_no_noise",
+    ),
+    Mutation(
+        "fields/advice.py", "(parts.kinetic + parts.contact).sum()) * volume_fraction",
+        "(parts.kinetic + parts.contact).sum())",
+        "test_the_noise_of_inertial_numbers_is_that_of_the_fluctuations_of_the_step",
+    ),
+    Mutation(
+        "fields/advice.py", "replace(support, contacts=_OF_LATTICE)", "support",
+        "test_contacts_of_a_lattice_have_no_noise",
+    ),
+    Mutation(
+        "fields/formulas/rows/contacts.py", "s.momentum - s.mass[..., None] * zero_if_unknown(",
+        "s.momentum + s.mass[..., None] * zero_if_unknown(",
+        "test_exchange_between_phases_equals_brute_force",
+    ),
+    Mutation(
+        "readers/ends.py", "if after.rows < before.rows:", "if after.rows > before.rows:",
+        "test_rows_are_no_ids_where_particles_are_removed",
+    ),
+    Mutation(
         "analysis/contact_history.py", "lattice.numbers(self.branch[new] - before.branch[old])",
         "lattice.numbers(0 * self.branch[new])", "test_another_image_is_another_contact",
     ),

@@ -299,7 +299,7 @@ def test_the_noise_of_inertial_numbers_is_that_of_the_fluctuations_of_the_step()
     (text,) = said(sheared_crystal(noise), names, width=1.0)
     floor = float(re.search(r"inertial_number is about ([\d.]+)", text)[1])
     f = sheared_crystal(noise, inertial=0.0).cg.coarse_grain("inertial_number", width=1.0)
-    assert floor == pytest.approx(float(f.inertial_number.mean()), rel=0.25)
+    assert 1.0 < floor / float(f.inertial_number.mean()) < 1.25
 
 
 def share_of_variation(text):
