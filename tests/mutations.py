@@ -809,7 +809,8 @@ TABLE = [
         "test_sizes_one_to_three_are_half_spaces_and_fill_the_box",
     ),
     Mutation(
-        "fields/advice.py", "is_small = noise <= CONSIDERABLE_FLOOR * shown", "is_small = noise > CONSIDERABLE_FLOOR * shown",
+        "fields/advice.py", "is_small = noise <= CONSIDERABLE_FLOOR * shown",
+        "is_small = noise > CONSIDERABLE_FLOOR * shown",
         "test_the_noise_of_inertial_numbers_is_that_of_the_fluctuations_of_the_step "
         "test_the_floor_of_a_shear_rate_is_relative_to_the_fluctuations",
     ),
