@@ -264,7 +264,7 @@ TABLE = [
         "test_an_average_across_the_shear_is_that_in_the_middle_of_the_box",
     ),
     Mutation(
-        "fields/deposit.py", "phase[row[at]] * others + phase[partner[at]]",
+        "fields/passes.py", "phase[row[at]] * others + phase[partner[at]]",
         "phase[partner[at]] * others + phase[row[at]]", "test_exchange_between_phases_equals_brute_force",
     ),
     # --- fields/grids ---

@@ -36,7 +36,6 @@ INSIDE = {
         ["plan"],
         ["pressures", "passes"],
         ["segments", "ring_means"],
-        ["deposit"],
         ["support"],
         ["advice"],
         ["evaluate"],

@@ -390,7 +390,7 @@ def test_equal_diameters_take_one_column():
         one.volume_fraction, np.pi / 6 * 0.7**3 * one.number_density, rtol=1e-14
     )
     np.testing.assert_allclose(one.d43.where(one.number_density > 0, 0.7), 0.7, rtol=1e-14)
-    with mock.patch("xcg.fields.deposit.loops.deposit", wraps=deposit) as loop:
+    with mock.patch("xcg.fields.passes.loops.deposit", wraps=deposit) as loop:
         ds.cg.coarse_grain(["volume_fraction", "d43", "d32", "number_density"], width=0.8)
     assert (
         loop.call_args.args[0].constants.shape[1] == 4

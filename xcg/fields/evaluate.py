@@ -1,10 +1,11 @@
-"""Evaluation of a plan: the fields of each step, and their labels."""
+"""Evaluation of a plan: the sums of each step, block by block, the fields that follow from them, and their labels."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -12,24 +13,32 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
+from xcg.compiled import program as loops
 from xcg.compiled._jit import for_each
+from xcg.compiled.simd import EIGHT
+from xcg.fields import passes
 from xcg.fields.advice import ComputedStep
-from xcg.fields.deposit import Sums
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.tracing import program_for
+from xcg.fields.formulas.tracing import Program, program_for
 from xcg.fields.grids.grid import check_mesh
+from xcg.fields.passes import StepArrays
 from xcg.fields.plan import Plan
+from xcg.fields.ring_means import average_over_rings, reference_of_rings
+from xcg.fields.segments import along_branches
+from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.nodes import Block
 from xcg.fields.support import numbers_of_floors
 from xcg.scene.facts import SETUP, setup_of
+from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
-from xcg.scene.schema import COMPONENTS, ROTATION, Frame, Variable, units_in
+from xcg.scene.schema import COMPONENTS, ROTATION, VARIABLES, Frame, Variable, units_in
 from xcg.steps.analysis import FrameAnalysis
 from xcg.steps.labels import ABOUT, annotated, phases_of
 
 _PAGE = 4096 // 8  # numbers in a page of memory
+_PADDED = 8  # least length of a tuple of arrays; others are 4, 16, ... times as long
 
 
 def _take_memory(numbers: NDArray) -> None:
@@ -152,6 +161,118 @@ class CoarseGraining(FrameAnalysis):
         return result.set_coords([n for n in plan.fields if n not in plan.requested])
 
 
+class Sums:
+    """Sums of one step, prepared: filled for one block of nodes after the other, in any order or at once.
+
+    A node's sums have one order whatever the block, so that their bits are the same.
+
+    Parameters
+    ----------
+    plan : Plan
+        Requested sums.
+    frame : Frame
+        One step of a scene.
+    lattice : Lattice
+        Periodic images.
+    scale : float
+        1 / extent of the averaged axes (and thickness of a layer).
+    source : str
+        Names the step in messages.
+    threads : int
+        Threads that prepare passes.
+
+    Attributes
+    ----------
+    table : dict
+        Where each moment is: which of the arrays of `over`, its columns, and a factor
+        for each group.
+    """
+
+    def __init__(
+        self, plan: Plan, frame: Frame, lattice: Lattice, scale: float, source: str, threads: int
+    ) -> None:
+        arrays = StepArrays(frame, plan, lattice, scale, source)
+        # variables of scenes were checked with their frame
+        of_moments = {name for moment in plan.moments.values() for name in moment.variables}
+        for name in of_moments - VARIABLES.keys():
+            check_finite(name, arrays.frame, source)
+        kinds: dict[str, dict[str, Moment]] = {kind: {} for kind in _PASSES}
+        for name, moment in plan.moments.items():
+            kinds[moment.over][name] = moment
+        needed = [kind for kind, moments in kinds.items() if moments]
+        prepared = for_each(needed, lambda kind: _PASSES[kind](arrays, kinds[kind]), threads)
+        self.plan = plan
+        self.passes: list[passes.Pass] = list(chain.from_iterable(prepared))
+        self.table: dict[str, tuple[int, NDArray, NDArray]] = {}
+        self.table["reference"] = (0, np.arange(3), np.ones(1))
+        for number, run in enumerate(self.passes, 1):
+            for name, (columns, factor) in run.moments.items():
+                self.table[name] = (number, columns, np.broadcast_to(factor, run.groups))
+
+    def over(self, block: Block) -> list[NDArray]:
+        """Return the sums at the nodes of a block, an array (groups, nodes, columns) for each pass.
+
+        The first array is the velocity (1, nodes, 3) that the kinematic columns of grains refer to,
+        NaN where nothing reaches. Nodes of rings have the averages over the angles.
+        """
+        velocity = np.full((block.count, 3), np.nan)
+        filled: list[NDArray] = []
+        references: list[NDArray] = []
+        for run in self.passes:
+            reference = velocity
+            if run.apart:
+                reference = np.full_like(velocity, np.nan)
+            sums = np.zeros((run.groups, block.count, run.columns))
+            for fill in run.fills:
+                fill(block, sums, reference)
+            filled.append(sums)
+            references.append(reference)
+        if block.rings is not None:
+            for k, run in enumerate(self.passes):
+                filled[k] = average_over_rings(run, block.rings, filled[k], references[k])
+            velocity, _ = reference_of_rings(block.rings, velocity)
+        return [velocity[None], *filled]
+
+    def moments(self, filled: Sequence[NDArray]) -> dict[str, NDArray]:
+        """Return moments, arrays (phase, node, ...), from the sums at the nodes of a block.
+
+        Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on
+        small tensors is a loop over nodes.
+        """
+        groups = self.plan.group_count
+        moments: dict[str, NDArray] = {}
+        for name, (number, columns, factor) in self.table.items():
+            values = filled[number].transpose(2, 0, 1)
+            if name == "reference":
+                reference = np.where(np.isnan(values[:, 0]), 0.0, values[:, 0])
+                moments[name] = np.ascontiguousarray(reference).T
+                continue
+            part = values[columns] * factor[:, None]
+            if part.shape[-2] > groups:  # by phase of the partner
+                split = part.reshape(*part.shape[:-2], groups, -1, part.shape[-1])
+                part = np.moveaxis(split, -2, 0)
+            if self.plan.by is not None:
+                # in this order whatever the number of nodes
+                bulk = sum(part[..., [k], :] for k in range(groups))
+                part = np.concatenate([bulk, part], axis=-2)
+            inner = range(part.ndim - 2)
+            moments[name] = part.transpose(part.ndim - 2, part.ndim - 1, *inner)
+        return moments
+
+
+# What prepares the passes of moments, by what these go over. The thread that calls begins with the
+# last: contacts take more memory than grains.
+_PASSES: dict[str, Callable[[StepArrays, Mapping[str, Moment]], list[passes.Pass]]] = {
+    "grains": passes.grains,
+    "vectors": passes.vectors,
+    "contacts": passes.at_contacts,
+    "pairs": passes.between_phases,
+    "branches": along_branches,
+    "slopes": passes.slopes,
+    "walls": passes.at_walls,
+}
+
+
 class _Algebra:
     """Algebra from the sums of a step to its fields: a program, and NumPy for formulas that it does not hold.
 
@@ -160,7 +281,7 @@ class _Algebra:
     sums : Sums
         Sums of the step.
     out : mapping
-        Fields (nodes, phases, ...) by name, which are filled.
+        Fields (nodes, phases, ...) by name, each in one piece of memory, which are filled.
     lattice : Lattice
         Box of the step, which may change.
     """
@@ -170,27 +291,76 @@ class _Algebra:
         self.sums = sums
         self.out = out
         self.options = plan.options
-        self.program = program_for(plan.fields, plan.options, len(plan.groups))
         self.untraced = plan.fields
+        self.program = program_for(plan.fields, plan.options, len(plan.groups))
         if self.program:
             held = self.program.widths
+            self.filled_by_program = _padded([out[name] for name in held])
             self.untraced = tuple(name for name in plan.fields if name not in held)
+            self._connect(self.program)
         if self.untraced:
             wrapped = plan.nodes.fills(lattice.axis_periods)
             self.options = replace(plan.options, wrapped=wrapped)
+
+    def _connect(self, program: Program) -> None:
+        """Assign rows of the loop's scratch to constants, factors and columns of sums, and find the inputs there."""
+        self.widths = [3]  # of each array of sums; the first one is the reference velocity
+        first_array = [0]
+        for run in self.sums.passes:
+            first_array.append(len(self.widths))
+            self.widths += [run.columns] * run.groups
+        factors: dict[float, int] = {}
+        sources = []  # array and column of each input, and the row of its factor
+        for moment, group, column in program.inputs:
+            number, columns, factor = self.sums.table[moment]
+            row = factors.setdefault(float(factor[group]), len(program.scratch) + len(factors))
+            sources.append((first_array[number] + group, int(columns.min()) + column, row))
+        of_factors = np.repeat(np.reshape([*factors], (-1, 1)), loops.TILE, axis=1)
+        self.constants = np.concatenate([program.scratch, of_factors])
+        whole_lines = [width + -width % EIGHT for width in self.widths]
+        *first_rows, self.row_count = np.cumsum([len(self.constants), *whole_lines]).tolist()
+        inputs = [(first_rows[array] + column, row) for array, column, row in sources]
+        self.inputs = np.array(inputs, "uint64").reshape(-1, 2)
+        self.columns = np.column_stack([self.widths, first_rows]).astype("uint64")
+        self.fits = True if (program.instructions[:, 0] == loops.FIT).any() else None
 
     def fill(self, block: Block) -> int:
         """Compute the fields at the nodes of a block; return how many of them grains reach."""
         filled = self.sums.over(block)
         indices = block.indices
         if self.program:
-            self.program.run(self.sums.table, filled, indices, self.out, block.order)
+            order = block.order  # so that memory is written line by line
+            scratch = loops.room_for(self.row_count)
+            scratch[: len(self.constants)] = self.constants
+            loops.run(
+                self.program.instructions,
+                _padded([array for groups in filled for array in groups]),
+                self.columns,
+                self.inputs,
+                self.filled_by_program,
+                self.program.stores,
+                self.program.target,
+                indices if order is None else indices[order],
+                order,
+                self.fits,
+                np.empty((loops.TILE + EIGHT) * max(self.widths)),
+                scratch,
+            )
         if self.untraced:
             moments = self.sums.moments(filled)
             evaluated = registry.evaluate(self.untraced, moments, self.options)
             for name, values in evaluated.items():
                 self.out[name][indices] = values.swapaxes(0, 1)
         return int(np.count_nonzero(~np.isnan(filled[0][0, :, 0])))
+
+
+def _padded(arrays: Sequence[NDArray]) -> tuple[NDArray, ...]:
+    """Return arrays as rows of numbers, filled up to one of few lengths, for each of which the loop is compiled."""
+    rows = [array.reshape(-1) for array in arrays]
+    length = _PADDED
+    while length < len(rows):
+        length *= 4
+    return (*rows, *[np.empty(0)] * (length - len(rows)))
 
 
 def _comment_on_rotation(name: str, options: Options, absent: Sequence[str]) -> dict[str, str]:

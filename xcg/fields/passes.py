@@ -1,22 +1,28 @@
-"""Single step as its passes take it: rows and their images, nodes and kernels; and the passes."""
+"""Single step as its passes take it: rows and their images, nodes and kernels; and passes over points."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
-from xcg.compiled.points import NONE, Grains
-from xcg.compiled.reach import spatial_order
+from xcg.compiled import points as loops
+from xcg.compiled.reach import BATCH, batches_of, spatial_order
 from xcg.fields.plan import Plan
-from xcg.fields.sums.moments import WALL_VELOCITY, Moment, velocities_of_walls
-from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, triple
+from xcg.fields.sums.moments import (
+    CUTOFF_POWERS,
+    MOMENTS,
+    WALL_VELOCITY,
+    Moment,
+    velocities_of_walls,
+)
+from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, lists_of, triple
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice
@@ -46,7 +52,7 @@ class Squared:
         The kernel of this cutoff.
     """
 
-    grains: Grains
+    grains: loops.Grains
     lattice: Lattice
     groups: NDArray
     smoothing: Smoothing
@@ -88,7 +94,7 @@ class Pass:
     groups: int
     columns: int
     moments: Mapping[str, Columns]
-    level: int = NONE
+    level: int = loops.NONE
     apart: bool = False
     vector: bool = True
     fills: list[Fill] = field(default_factory=list)
@@ -297,3 +303,231 @@ def alike(drifts: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
     """Yield each distinct row of drifts (n, 3), and a mask (n,) of where it stands."""
     for drift in np.unique(drifts, axis=0):
         yield drift, (drifts == drift).all(axis=1)
+
+
+# --- passes over grains and other points -----------------------------------------------------------
+
+
+def grains(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
+    """Prepare the pass over grains.
+
+    Kinematic columns come first, then columns of constants that differ between grains, then the number
+    of grains.
+    """
+    images = arrays.grains
+    level = max(moment.level for moment in moments.values())
+    table: dict[str, Columns] = {}
+    constants: list[Moment | NDArray] = []
+    same: dict[str, float] = {}
+    width = 0
+    for name, moment in moments.items():
+        if moment.level:
+            factor: float | NDArray = 1.0
+            if name in CUTOFF_POWERS:
+                factor = arrays.plan.cutoff_of_group ** CUTOFF_POWERS[name]
+            table[name] = (moment.first + moment.columns, factor)
+            continue
+        columns: Moment | NDArray = moment  # what is wide is made when it is written
+        if moment.width == 1:
+            columns = arrays.column(moment, images)
+            if _is_constant(columns):
+                same[name] = float(columns[0, 0])
+                continue
+        table[name] = (level + width + moment.columns, 1.0)
+        constants.append(columns)
+        width += moment.width
+    if same:
+        number = MOMENTS["number"]
+        for name, value in same.items():
+            table[name] = (level + width + number.columns, value)
+        constants.append(number)
+        width += number.width
+    run = Pass(arrays.plan.group_count, level + _in_fours(width), table, level)
+    _add_points(
+        arrays, run, images, arrays.phase[images.row], flow=arrays.flow, constants=constants
+    )
+    return [run]
+
+
+def _in_fours(width: int) -> int:
+    """Return the next multiple of four: the loop adds four columns at a time."""
+    return width + -width % 4
+
+
+def _is_constant(values: NDArray) -> bool:
+    """Return whether a column (n, 1) is the same for all grains, a multiple of their number."""
+    if not len(values) or values[0, 0] != values[-1, 0]:  # most differ in their ends
+        return False
+    return bool((values == values[0]).all())
+
+
+def slopes(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
+    """Prepare the pass over grains that weighs kinematic columns by grad Psi."""
+    table: dict[str, Columns] = {}
+    for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear")):
+        columns = MOMENTS[flow].first + MOMENTS[flow].columns
+        table[name] = (columns, -1 / arrays.plan.cutoff_of_group)
+    images = arrays.grains
+    run = Pass(arrays.plan.group_count, loops.LINEAR, table, loops.LINEAR)
+    _add_points(arrays, run, images, arrays.phase[images.row], flow=arrays.flow, by_gradient=True)
+    return [run]
+
+
+def vectors(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
+    """Prepare a pass for each vector that takes the place of velocity, so that it is kept relative to each node."""
+    passes = []
+    for name, moment in moments.items():
+        if moment.contacts:
+            images, phase, share, contact = arrays.contact_points
+            values = arrays.column(moment, images, contact)
+            values[:, 0] *= share
+        else:
+            images = arrays.grains
+            phase = arrays.phase[images.row]
+            values = arrays.column(moment, images)
+        flow = np.ascontiguousarray(values[:, 1:]), np.ascontiguousarray(values[:, 0])
+        table: dict[str, Columns] = {name: (moment.first + moment.columns, 1.0)}
+        level = moment.level
+        groups = arrays.plan.group_count
+        run = Pass(groups, level, table, level, apart=True, vector=moment.vector)
+        _add_points(arrays, run, images, phase, flow=flow)
+        passes.append(run)
+    return passes
+
+
+def at_contacts(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
+    """Prepare the pass over contact points, with columns of constants alone."""
+    images, phase, share, contact = arrays.contact_points
+    table: dict[str, Columns] = {}
+    columns: list[Moment | NDArray] = []
+    width = 0
+    for name, moment in moments.items():
+        columns.append(arrays.column(moment, images, contact) * share[:, None])
+        table[name] = (width + moment.columns, 1.0)
+        width += moment.width
+    run = Pass(arrays.plan.group_count, _in_fours(width), table)
+    _add_points(arrays, run, images, phase, constants=columns)
+    return [run]
+
+
+def between_phases(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
+    """Sum the forces of other phases and of walls on the grains of each phase, at the contact points."""
+    contacts = arrays.contacts
+    others = arrays.plan.other_count
+    phase = np.append(arrays.phase, arrays.plan.group_count)  # row -1 is that of a wall
+    points: list[NDArray] = []
+    pairs: list[NDArray] = []
+    forces: list[NDArray] = []
+    sides = [(contacts.i, contacts.j, 1.0), (contacts.j, contacts.i, -1.0)]
+    for row, partner, sign in sides:
+        # inside a phase both sides add up to nothing
+        at = np.flatnonzero((row >= 0) & (phase[row] != phase[partner]))
+        points.append(contacts.point[at])
+        pairs.append(phase[row[at]] * others + phase[partner[at]])
+        forces.append(sign * contacts.force[at])
+    images = arrays.images(np.concatenate(points))
+    pair = np.concatenate(pairs)[images.row]
+    force = np.concatenate(forces)[images.row]
+    return [_of_force(arrays, images, pair, force, moments, others)]
+
+
+def at_walls(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
+    """Sum the forces of walls, at the contact points."""
+    row, point, force = arrays.contacts.at_walls
+    images = arrays.images(point)
+    phase = arrays.phase[row][images.row]
+    return [_of_force(arrays, images, phase, force[images.row], moments)]
+
+
+def _of_force(
+    arrays: StepArrays,
+    images: Images,
+    phase: NDArray,
+    force: NDArray,
+    moments: Mapping[str, Moment],
+    others: int = 1,
+) -> Pass:
+    """Prepare a pass over points with a force each."""
+    table: dict[str, Columns] = {name: (moment.columns, 1.0) for name, moment in moments.items()}
+    run = Pass(arrays.plan.group_count * others, _in_fours(3), table)
+    _add_points(arrays, run, images, phase, constants=[force], others=others)
+    return run
+
+
+def _add_points(
+    arrays: StepArrays,
+    run: Pass,
+    images: Images,
+    phase: NDArray,
+    *,
+    flow: tuple[NDArray, NDArray] | None = None,
+    constants: list[Moment | NDArray] | None = None,
+    others: int = 1,
+    by_gradient: bool | None = None,
+) -> None:
+    """Add the loops over grains, or other points, with kinematic columns and columns of constants.
+
+    `flow` are velocities and masses, or numbers and weights in their places. `constants` are columns,
+    or moments whose columns are made here; the list is emptied, as memory holds one of them beside
+    what is written. With `others`, `phase` is the number of a pair of phases, the first times
+    `others` plus the second.
+    """
+    plan = arrays.plan
+    position = images.position
+    count = len(position)
+    level = run.level
+    written = np.zeros((count, run.columns - level))
+    first = 0
+    while constants:
+        columns = constants.pop(0)
+        if isinstance(columns, Moment):
+            columns = arrays.column(columns, images)
+        written[:, first : first + columns.shape[1]] = columns
+        first += columns.shape[1]
+        del columns  # before the next are made
+    velocity, mass = flow or (np.zeros((count, 3)), np.zeros(count))
+    of_squares = [column for column in loops.SQUARES if column < level]
+    has_squares = any(np.isin(columns, of_squares).any() for columns, _ in run.moments.values())
+    if not count and not has_squares:
+        return
+    origin = arrays.origin
+    for cutoff, smoothing in arrays.smoothings.items():
+        rows = images.order
+        of_cutoff = np.repeat(plan.cutoff_of_group == cutoff, others)
+        if not of_cutoff.all():
+            rows = rows[of_cutoff[phase[rows]]]
+        batches = (batches_of(position, rows) - origin) / cutoff
+        points = loops.Grains(
+            rows, batches, position, velocity, mass, written, phase, origin, cutoff
+        )
+        translations = None
+        if has_squares:
+            translations = arrays.translations(cutoff)
+            _add_squared(arrays, run, points, np.flatnonzero(of_cutoff), smoothing)
+        flags = level, translations, by_gradient
+        run.fills.append(partial(_fill, points, smoothing, flags))
+
+
+def _add_squared(
+    arrays: StepArrays, run: Pass, points: loops.Grains, groups: NDArray, smoothing: Smoothing
+) -> None:
+    """Add the grains of the groups of one cutoff to those whose weights are squared."""
+    beyond = arrays.lattice
+    if beyond.vectors is not None:  # images are places of their own
+        beyond = Lattice(np.full(3, np.inf))
+    run.squared.append(Squared(points, beyond, groups, smoothing))
+
+
+def _fill(
+    points: loops.Grains,
+    smoothing: Smoothing,
+    flags: tuple[int, NDArray | None, bool | None],  # level, translations, by_gradient
+    block: Block,
+    sums: NDArray,
+    reference: NDArray,
+) -> None:
+    """Add points to the sums at the nodes of a block."""
+    nodes = block.nodes(smoothing)
+    records = np.empty((BATCH, sums.shape[2] + loops.GRAIN))
+    scratch = loops.Scratch(lists_of(nodes, DIAMETER.tolist()), records)
+    loops.deposit(points, nodes, smoothing.weights, *flags, scratch, sums, reference)

@@ -82,28 +82,28 @@ def list_some(listing: SegmentChoice, contacts: NDArray) -> tuple[NDArray, NDArr
     return records, longest, more
 
 
-def along_branches(step: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
+def along_branches(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
     """Prepare a pass for each moment that is smeared along branches, with contacts in an order in space."""
-    order = step.grains.order
-    if step.lattice.vectors is not None:
-        order = step.in_space(step.position)
-    contacts = step.contacts.in_order_of(order)
+    order = arrays.grains.order
+    if arrays.lattice.vectors is not None:
+        order = arrays.in_space(arrays.position)
+    contacts = arrays.contacts.in_order_of(order)
     passes = []
     for name, moment in moments.items():
         others = 0
         if moment.paired:
-            others = step.plan.other_count
+            others = arrays.plan.other_count
         columns: dict[str, Columns] = {name: (moment.columns, 1.0)}
-        run = Pass(step.plan.group_count * max(others, 1), 9, columns)
-        carried = _carried(step, moment, step.frame)
-        for cutoff in step.cutoffs:
-            run.fills.extend(_fills(step, moment, carried, contacts, others, cutoff))
+        run = Pass(arrays.plan.group_count * max(others, 1), 9, columns)
+        carried = _carried(arrays, moment, arrays.frame)
+        for cutoff in arrays.cutoffs:
+            run.fills.extend(_fills(arrays, moment, carried, contacts, others, cutoff))
         passes.append(run)
     return passes
 
 
 def _fills(
-    step: StepArrays,
+    arrays: StepArrays,
     moment: Moment,
     carried: tuple[NDArray, NDArray | None],
     contacts: NDArray,
@@ -111,29 +111,29 @@ def _fills(
     cutoff: float,
 ) -> Iterator[Fill]:
     """Yield the loops over the segments of one cutoff: of first particles, and of second ones where there are any."""
-    smoothing = step.smoothings[cutoff]
+    smoothing = arrays.smoothings[cutoff]
     for second in (False, True):
         segments, longest, more = _segments(
-            step, moment, *carried, contacts, second, others, cutoff
+            arrays, moment, *carried, contacts, second, others, cutoff
         )
         reach = DIAMETER + longest[:3]
-        smoothing.check_reach(reach, step.source)
-        for rule in _rules(step, longest[3], cutoff):
+        smoothing.check_reach(reach, arrays.source)
+        for rule in _rules(arrays, longest[3], cutoff):
             yield partial(_fill_segments, segments, smoothing, reach.tolist(), rule)
         if not more:
             return
 
 
-def _carried(step: StepArrays, moment: Moment, frame: Frame) -> tuple[NDArray, NDArray | None]:
+def _carried(arrays: StepArrays, moment: Moment, frame: Frame) -> tuple[NDArray, NDArray | None]:
     """Vectors (n, 3) that the sides of i and of j carry; None where the vectors of j are the opposite."""
     if moment.column is None:
-        return step.contacts.force, None
-    on_i, on_j = moment.column(frame, step.contacts)
+        return arrays.contacts.force, None
+    on_i, on_j = moment.column(frame, arrays.contacts)
     return on_i, on_j
 
 
 def _segments(
-    step: StepArrays,
+    arrays: StepArrays,
     moment: Moment,
     on_i: NDArray,
     on_j: NDArray | None,
@@ -143,28 +143,30 @@ def _segments(
     cutoff: float,
 ) -> tuple[Branches, NDArray, bool]:
     """Segments of the first or second particles of contacts, the longest, and whether there are second ones."""
-    c = step.contacts
-    smoothing = step.smoothings[cutoff]
-    tilted = step.lattice.vectors is not None
-    limits = step.plan.limits
+    c = arrays.contacts
+    smoothing = arrays.smoothings[cutoff]
+    tilted = arrays.lattice.vectors is not None
+    limits = arrays.plan.limits
     indexed = IndexedContacts(
-        c.i, c.j, c.point, on_i, on_j, step.position, step.phase, *c.lattice.for_loops
+        c.i, c.j, c.point, on_i, on_j, arrays.position, arrays.phase, *c.lattice.for_loops
     )
-    listing = SegmentChoice(indexed, second, others, step.plan.cutoff_of_group, cutoff, step.origin)
+    listing = SegmentChoice(
+        indexed, second, others, arrays.plan.cutoff_of_group, cutoff, arrays.origin
+    )
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
         bounds = no_bounds(len(contacts), RUN)
         longest = np.empty(4)
         more = list_segments(listing, contacts, None, bounds, longest)
         if not smoothing.too_long(longest[:3]):
-            smoothing.check_far(longest[:3], step.source)
+            smoothing.check_far(longest[:3], arrays.source)
             return ListedAnew(listing, contacts, bounds, limits), longest, more
     segments, longest, more = list_some(listing, contacts)
-    smoothing.check_far(longest[:3], step.source)
+    smoothing.check_far(longest[:3], arrays.source)
     shift = np.zeros(3)
     if tilted:
         used = np.flatnonzero(segments[:, GROUP] >= 0.0)
-        start = segments[used, :BRANCH] * cutoff + step.origin
-        image, shift, drifts = step.near_mesh(start, (1.0 + longest[3]) * cutoff)
+        start = segments[used, :BRANCH] * cutoff + arrays.origin
+        image, shift, drifts = arrays.near_mesh(start, (1.0 + longest[3]) * cutoff)
         segments = segments[used[image]]
         contacts = contacts[used[image]]
         segments[:, :BRANCH] += shift / cutoff
@@ -173,8 +175,8 @@ def _segments(
         for drift, here in alike(drifts):  # as seen in images that drift
             if not drift.any():
                 continue
-            moved = step.frame | {"velocity": step.frame["velocity"] + drift}
-            on_i, on_j = _carried(step, moment, moved)
+            moved = arrays.frame | {"velocity": arrays.frame["velocity"] + drift}
+            on_i, on_j = _carried(arrays, moment, moved)
             moved_contacts = indexed._replace(on_i=on_i, on_j=on_j)
             moving, _, _ = list_some(listing._replace(contacts=moved_contacts), contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
@@ -182,8 +184,8 @@ def _segments(
         partner = np.where(c.i >= 0, c.j, c.i)
         if second:
             partner = c.i
-        ends = [c.point[contacts] + shift, step.position[partner[contacts]] + shift]
-        longest = smoothing.cut(segments, np.array(ends), step.source)
+        ends = [c.point[contacts] + shift, arrays.position[partner[contacts]] + shift]
+        longest = smoothing.cut(segments, np.array(ends), arrays.source)
     return ListedOnce(Segments(segments, limits, bounds_of_segments(segments))), longest, more
 
 
@@ -205,10 +207,10 @@ class _Rule(NamedTuple):
     rest: bool
 
 
-def _rules(step: StepArrays, longest: float, cutoff: float) -> list[_Rule]:
+def _rules(arrays: StepArrays, longest: float, cutoff: float) -> list[_Rule]:
     """Return the ways to the weights of segments, one after the other."""
-    plan = step.plan
-    if not plan.coarse or not step.smoothings[cutoff].fits_single(plan.limits.max()):
+    plan = arrays.plan
+    if not plan.coarse or not arrays.smoothings[cutoff].fits_single(plan.limits.max()):
         return [_Rule("float64", closed=True, rest=False)]
     rules = [_Rule("float32", closed=False, rest=False)]
     if longest > plan.limits.max():

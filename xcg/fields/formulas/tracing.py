@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
 from types import SimpleNamespace
@@ -20,7 +21,35 @@ from xcg.compiled.gradient_fit import FOUND
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.algebra import Trace, as_symbols, zero_if_unknown
 from xcg.fields.formulas.field import Options
-from xcg.fields.formulas.program import Program
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Instructions from the moments at a node to its fields.
+
+    Attributes
+    ----------
+    instructions : array (n, 4)
+        As `xcg.compiled.program.run` takes them.
+    scratch : array (rows, TILE)
+        Constants in their rows.
+    inputs : tuple of (str, int, int)
+        Moments, of which group, and which of their columns.
+    target : array (stores, 9)
+        Rows of these components.
+    widths : dict
+        How many numbers of each field, which it computes, are stored for a node.
+    stores : array (stores, 4)
+        Its field's number, as in `widths`; its first component; how many numbers the field holds for
+        a node; how many there are.
+    """
+
+    instructions: NDArray
+    scratch: NDArray
+    inputs: tuple[tuple[str, int, int], ...]
+    target: NDArray
+    widths: Mapping[str, int]
+    stores: NDArray
 
 
 @lru_cache(maxsize=64)

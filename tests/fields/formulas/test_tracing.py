@@ -10,8 +10,9 @@ import pytest
 
 import xcg
 from xcg.compiled import program as kernel
+from xcg.fields import evaluate
 from xcg.fields.formulas import algebra as symbols
-from xcg.fields.formulas import program, registry, tracing
+from xcg.fields.formulas import registry, tracing
 from xcg.fields.formulas.field import Gradient, Options, Temperature
 from xcg.fields.formulas.registry import _made_up
 from xcg.fields.formulas.rows import orientation
@@ -26,7 +27,7 @@ ALL = tuple(
 
 def played_and_plain(ds, *fields, **options):
     """The same fields by the program, and by the registry on arrays; how often the program was run."""
-    with mock.patch.object(program.loops, "run", wraps=program.loops.run) as run:
+    with mock.patch.object(kernel, "run", wraps=kernel.run) as run:
         played = ds.cg.coarse_grain(*fields, **options)
     with mock.patch("xcg.fields.evaluate.program_for", return_value=None):
         return played, ds.cg.coarse_grain(*fields, **options), run.call_count
@@ -56,7 +57,7 @@ def test_a_program_gives_what_the_registry_gives(options):
 )
 def test_code_of_the_fit_is_left_out_where_no_field_takes_it(field, fits):
     ds = xcg.datasets.random_scene(60, seed=1)
-    with mock.patch.object(program.loops, "run", wraps=program.loops.run) as run:
+    with mock.patch.object(kernel, "run", wraps=kernel.run) as run:
         ds.cg.coarse_grain(field, width=0.6)
     assert {call.args[9] for call in run.call_args_list} == {fits}
 
@@ -170,27 +171,10 @@ def test_symbols_have_no_truth_value_and_no_cubes():
         a**3
 
 
-@pytest.mark.parametrize("spoil", [np.asfortranarray, lambda a: np.broadcast_to(a[:1], a.shape)])
-def test_results_are_not_lost_in_copies(spoil):
-    run = program.Program.run
-
-    def spoiled(self, table, filled, place, out, order):
-        return run(self, table, filled, place, out | {"stress": spoil(out["stress"])}, order)
-
-    ds = xcg.datasets.random_scene(20, seed=1)
-    with (
-        mock.patch.object(program.Program, "run", spoiled),
-        pytest.raises(ValueError, match="one after the other"),
-    ):
-        ds.cg.coarse_grain(
-            "stress", width=1.0, spacing=0.5, bounds=dict.fromkeys("xyz", (0.0, 0.5))
-        )
-
-
 def test_loops_are_compiled_for_few_numbers_of_arrays():
     for count, padded in ((1, 8), (8, 8), (9, 32), (33, 128)):
         arrays = [np.full(3, k, float) for k in range(count)]
-        tuples = program._padded(arrays)
+        tuples = evaluate._padded(arrays)
         assert len(tuples) == padded
         assert all(map(np.shares_memory, arrays, tuples))
 
