@@ -595,11 +595,12 @@ class ComputedStep:
     def _warn_of_flow_in_temperatures(self) -> None:
         """Warn where temperatures hold the variation of the flow along an averaged axis, which no gradient sees."""
         named = [name for name in _OF_ONE_VARIANCE if name in self.plan.requested]
-        free = without_frozen(self.frame)
         hidden = not self.plan.nodes.active[list(self.plan.options.plane)].all()
-        if not (self.plan.named and named and hidden and len(free["mass"])):
+        if not (self.plan.named and named and hidden):
             return
-        parts = pressures_of(self.plan, free, self.lattice)
+        parts = self._pressures
+        if parts is None:
+            return
         kinetic = float(parts.kinetic.sum())
         added = {}
         for axis, part in parts.averaged.items():
