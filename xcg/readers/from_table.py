@@ -46,10 +46,11 @@ def scene_from_table(
     Parameters
     ----------
     particles : pandas.DataFrame, or what makes one
-        A row a particle and step. Columns are named as in `xcg.open_scene`: ``x y z`` or
-        ``position_x``, ``diameter`` or ``radius``, ``mass``, ``density``, ``particle_id`` or
-        ``id``, ``species`` or ``type``; ``time`` (s; also durations or dates, which count from the
-        first, the attribute ``start``) or ``step`` distinguish steps, whose rows come in any order.
+        A row a particle and step; arrays (rows, 3) of a mapping or structured array are vectors.
+        Columns are named as in `xcg.open_scene`: ``x y z`` or ``position_x``, ``diameter`` or
+        ``radius``, ``mass``, ``density``, ``particle_id`` or ``id``, ``species`` or ``type``;
+        ``time`` (s; also durations or dates, which count from the first, the attribute ``start``)
+        or ``step`` distinguish steps, whose rows come in any order.
     contacts : pandas.DataFrame, or what makes one, optional
         A row a contact and step: ``contact_i contact_j`` or ``id1 id2``, ``fx fy fz`` or
         ``contact_force_x``, on i, or ``normal_force_x`` and ``tangential_force_x``,
@@ -98,7 +99,8 @@ def scene_from_table(
             f"scene_from_table({os.fspath(particles)!r}): expected a table; files are opened by xcg.open_scene"
         )
     read_options = _read_options(names, options)
-    table, start = _with_seconds(_table(particles), "particles", read_options, options.get("units"))
+    table = _table(particles, "particles")
+    table, start = _with_seconds(table, "particles", read_options, options.get("units"))
     refs = {"particles": [_ref_of(table, "particles")]}
     engines = {"particles": _InMemory(table)}
     grains = _frames(table, "particles", read_options.of_kind("particles"), contacts=False)
@@ -122,7 +124,8 @@ def scene_from_table(
         lattices = _lattices(steps, options)
         of_kind = read_options.of_kind("contacts")
         units = options.get("units")
-        table, _ = _with_seconds(_table(contacts), "contacts", read_options, units, start)
+        table = _table(contacts, "contacts")
+        table, _ = _with_seconds(table, "contacts", read_options, units, start)
         table = _at_steps(table, clock_of(tuple(table.columns), of_kind.names), steps)
         table = _with_vectors(table, grains, of_kind, lattices)
         refs["contacts"] = [_ref_of(table, "contacts")]
@@ -296,10 +299,14 @@ def _with_vectors(
     return table.drop(columns=[*magnitudes.values()]).assign(**forces)
 
 
-def _table(data: Any) -> pd.DataFrame:
+def _table(data: Any, what: str) -> pd.DataFrame:
     """Return rows as a table whose index is a column if it has a name."""
     if not isinstance(data, pd.DataFrame) and hasattr(data, "to_pandas"):
         data = data.to_pandas()  # of pyarrow
+    if isinstance(data, np.ndarray) and data.dtype.names:
+        data = {name: data[name] for name in data.dtype.names}
+    if isinstance(data, Mapping):
+        data = _by_component(data)
     table = pd.DataFrame(data)
     if any(table.index.names):
         table = table.reset_index()
@@ -310,7 +317,25 @@ def _table(data: Any) -> pd.DataFrame:
             for levels in table.columns
         ]
         table.columns = ["_".join(levels) for levels in named]
-    return table.rename(columns=str)
+    table = table.rename(columns=str)
+    twice = table.columns[table.columns.duplicated()]
+    if len(twice):
+        raise SceneError(
+            f"{what}: two columns are called {twice[0]!r}; rename one, or drop it: "
+            "table.loc[:, ~table.columns.duplicated()]"
+        )
+    return table
+
+
+def _by_component(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Return columns with vectors (rows, 2 or 3) as one column each component, ``position_x``, ..."""
+    out: dict[str, Any] = {}
+    for name, values in columns.items():
+        if np.ndim(values) == 2 and np.shape(values)[1] in (2, 3):
+            out |= {f"{name}_{a}": x for a, x in zip("xyz", np.transpose(values), strict=False)}
+        else:
+            out[name] = values
+    return out
 
 
 def _with_seconds(

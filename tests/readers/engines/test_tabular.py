@@ -352,3 +352,28 @@ def test_empty_cells_and_names_of_columns_raise(tmp_path):
         xcg.SceneError, match=r"names={'East X': 'position_x', 'North Y': 'position_y'"
     ):
         xcg.open_scene(unknown, density=1.0)
+
+
+@pytest.mark.parametrize("form", [dict, np.ndarray])
+def test_vectors_of_mappings_and_structured_arrays_are_columns_by_component(form):
+    kinds = [("id", "i8"), ("position", "f8", 3), ("velocity", "f8", 3), ("radius", "f8")]
+    rows = np.zeros(4, kinds)
+    rng = np.random.default_rng(1)
+    rows["id"] = [3, 0, 2, 1]
+    rows["position"], rows["velocity"] = rng.random((2, 4, 3))
+    rows["radius"] = 0.1
+    table = rows
+    if form is dict:
+        table = {name: rows[name] for name in rows.dtype.names}
+    ds = xcg.scene_from_table(table, density=1.0)
+    order = np.argsort(rows["id"])
+    np.testing.assert_array_equal(ds.position[0], rows["position"][order])
+    np.testing.assert_array_equal(ds.velocity[0], rows["velocity"][order])
+
+
+def test_two_columns_of_one_name_raise():
+    table = pd.DataFrame(
+        [[0, 0.0, 1.0, 0.0, 0.1, 0.2]], columns=["id", "x", "y", "z", "radius", "x"]
+    )
+    with pytest.raises(xcg.SceneError, match="particles: two columns are called 'x'"):
+        xcg.scene_from_table(table, density=1.0)
