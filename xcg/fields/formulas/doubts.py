@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -79,12 +79,8 @@ class Steadiness:
 
         # without the blocks: their graph would be pickled for each name
         sharing = [other for other, weight in self.weights.items() if weight == self.weights[name]]
-        warn = partial(_warned, self.call, name, sharing, self.steps, self.blocks.number)
-        attrs = error.attrs
-        variables = [share.variable for share in shares]
-        error = xr.apply_ufunc(warn, error, *variables, dask="parallelized", output_dtypes=[float])
-        error.attrs = attrs
-        return error
+        warn = partial(_warn, self.call, name, sharing, self.steps, self.blocks.number)
+        return _telling(error, warn, *(share.variable for share in shares))
 
     def _shares(
         self, name: str, unsure: xr.Variable | None
@@ -111,6 +107,21 @@ class Steadiness:
         of_growth = _by_elements(betainc, count / 2, (count - 1) / 2, 1.0 - of_long)
         grows = (of_growth < self.chance) & ~drifts
         return share_of_drifts, _share(grows, growth.notnull())
+
+
+Values = TypeVar("Values", xr.DataArray, xr.Variable)
+
+
+def _telling(values: Values, warn: Callable[..., None], *numbers: Any) -> Values:
+    """Return values that warn when they are computed; `warn` takes the numbers as floats."""
+
+    def told(values: NDArray, *numbers: NDArray) -> NDArray:
+        warn(*(float(np.max(number)) for number in numbers))
+        return values
+
+    return xr.apply_ufunc(
+        told, values, *numbers, dask="parallelized", output_dtypes=[float], keep_attrs="override"
+    )
 
 
 def _share(mask: xr.DataArray, finite: xr.DataArray) -> xr.DataArray:
@@ -146,17 +157,11 @@ def _effective(weight: xr.DataArray, dim: str) -> tuple[xr.DataArray, xr.DataArr
     return _share(few, finite), number.where(few).mean()
 
 
-def _warned(
-    call: Once,
-    name: str,
-    sharing: Sequence[str],
-    steps: int,
-    blocks: int,
-    errors: NDArray,
-    *shares: NDArray,
-) -> NDArray:
-    """Return the errors of a field; warn of repeated steps, and of most nodes with a drift, no plateau or few steps."""
-    repeated, drift, growth, few, effective = (float(np.max(share)) for share in shares)
+def _warn(
+    call: Once, name: str, sharing: Sequence[str], steps: int, blocks: int, *shares: float
+) -> None:
+    """Warn of repeated steps, and of most nodes with a drift, no plateau or few steps."""
+    repeated, drift, growth, few, effective = shares
     different = 1 + (1 - repeated) * (steps - 1)
     times = round(steps / different)
     # blocks of 2, 4, 8, ... steps are of whole repeats
@@ -196,7 +201,6 @@ def _warned(
             "within two of their errors, in place of 95 %. Average over more steps or along axes (axes=), or increase "
             "width=",
         )
-    return errors
 
 
 def _held(steps: float) -> float:
@@ -230,21 +234,19 @@ def with_unknown_temperatures(mean: xr.Dataset, options: Options, purpose: str) 
         lost = (reached & values.isnull()).sum(nodes) / reached.sum(nodes).clip(1)
         phases = [label for label in values["phase"].to_numpy() if label != "bulk"]
         shares = [lost.sel(phase=label, drop=True) for label in phases]
-        warn = partial(_warned_of_unknown, call, purpose, name, phases)
-        told[name] = xr.apply_ufunc(
-            warn, values, *shares, dask="parallelized", output_dtypes=[float], keep_attrs=True
-        )
+        warn = partial(_warn_of_unknown, call, purpose, name, phases)
+        told[name] = _telling(values, warn, *shares)
     return mean.assign(told)
 
 
-def _warned_of_unknown(
-    call: Once, purpose: str, name: str, phases: Sequence[str], values: NDArray, *shares: NDArray
-) -> NDArray:
-    """Return the temperatures of phases; warn if they are NaN at many nodes of one."""
+def _warn_of_unknown(
+    call: Once, purpose: str, name: str, phases: Sequence[str], *shares: float
+) -> None:
+    """Warn if the temperatures of a phase are NaN at many nodes."""
     texts = [
-        f"{100 * float(np.max(share)):.0f} % of the nodes of phase {phase}"
+        f"{100 * share:.0f} % of the nodes of phase {phase}"
         for phase, share in zip(phases, shares, strict=True)
-        if np.max(share) > UNKNOWN
+        if share > UNKNOWN
     ]
     if texts:
         call.warn(
@@ -252,7 +254,6 @@ def _warned_of_unknown(
             f"{purpose}: {name} is NaN, as its error is larger, at {' and '.join(texts)}: the values at the others are "
             "too large on average. Average over more steps or along axes (axes=), or increase width=",
         )
-    return values
 
 
 _UNSURE = 0.1  # share of the nodes
@@ -277,10 +278,7 @@ def unsure_sign(
         output_dtypes=[bool],
     )
     share = unsure.sum() / error.notnull().sum().clip(1)
-    warn = partial(_warned_of_sign, call)
-    told = xr.apply_ufunc(warn, error, share, dask="parallelized", output_dtypes=[float])
-    told.attrs = error.attrs
-    return unsure, told
+    return unsure, _telling(error, partial(_warn_of_sign, call), share)
 
 
 def _with_small_middle(tensor: NDArray, error: NDArray) -> NDArray:
@@ -290,17 +288,15 @@ def _with_small_middle(tensor: NDArray, error: NDArray) -> NDArray:
     return finite & (np.abs(middle) < error)
 
 
-def _warned_of_sign(call: Once, errors: NDArray, share: NDArray) -> NDArray:
-    """Return the errors of a nematic order; warn if its sign is unsure at many nodes."""
-    part = float(np.max(share))
-    if part > _UNSURE:
+def _warn_of_sign(call: Once, share: float) -> None:
+    """Warn if the sign of a nematic order is unsure at many nodes."""
+    if share > _UNSURE:
         call.warn(
             "sign of the nematic order",
-            f"time_average: the sign of nematic_order is unsure at {100 * part:.0f} % of the nodes, where the largest "
+            f"time_average: the sign of nematic_order is unsure at {100 * share:.0f} % of the nodes, where the largest "
             "and the smallest eigenvalue of nematic_tensor are equal in modulus within their error: bias and "
             "nematic_director are not known there. Average over more steps or along axes (axes=), or increase width=",
         )
-    return errors
 
 
 # Bias over value of a norm, where noise and the true norm have equal squares.
@@ -321,18 +317,14 @@ def with_noise(
     left = (norm - bias).sum() / count
     unit = norm.attrs.get("units", "1")
     least = 0.0 if field.floor_units else CONSIDERABLE_FLOOR * field.usual
-    warn = partial(_warned_of_noise, call, name, "" if unit == "1" else f" {unit}", least)
-    numbers = share, mean, left
-    told = xr.apply_ufunc(warn, error, *numbers, dask="parallelized", output_dtypes=[float])
-    told.attrs = error.attrs
-    return told
+    warn = partial(_warn_of_noise, call, name, "" if unit == "1" else f" {unit}", least)
+    return _telling(error, warn, share, mean, left)
 
 
-def _warned_of_noise(
-    call: Once, name: str, unit: str, least: float, errors: NDArray, *numbers: NDArray
-) -> NDArray:
-    """Return the errors of a norm; warn if its bias is considerable, and more than half of its square at most nodes."""
-    share, mean, left = (float(np.max(number)) for number in numbers)
+def _warn_of_noise(
+    call: Once, name: str, unit: str, least: float, share: float, mean: float, left: float
+) -> None:
+    """Warn if the bias of a norm is considerable, and more than half of its square at most nodes."""
     if share > 0.5 and mean - left > least:
         call.warn(
             f"noise of {name}",
@@ -340,22 +332,17 @@ def _warned_of_noise(
             f"noise of few grains is more than half of its square at {100 * share:.0f} % of the nodes. Subtract "
             f"{name}_bias, of eight steps or more, average over more steps, runs or axes (axes=), or increase width=",
         )
-    return errors
 
 
 def with_unsure_angle(name: str, angle: xr.Variable, error: xr.Variable, call: Once) -> xr.Variable:
     """Return the error of an averaged angle, which warns if its mean is more than half of that of the angle."""
     finite = angle.notnull() & error.notnull()
     means = [values.where(finite).sum() / finite.sum().clip(1) for values in (angle, error)]
-    warn = partial(_warned_of_angle, call, name)
-    told = xr.apply_ufunc(warn, error, *means, dask="parallelized", output_dtypes=[float])
-    told.attrs = error.attrs
-    return told
+    return _telling(error, partial(_warn_of_angle, call, name), *means)
 
 
-def _warned_of_angle(call: Once, name: str, errors: NDArray, *means: NDArray) -> NDArray:
-    """Return the errors of an angle; warn if they are more than half of the angle."""
-    angle, error = (float(np.max(mean)) for mean in means)
+def _warn_of_angle(call: Once, name: str, angle: float, error: float) -> None:
+    """Warn if the error of an angle is more than half of it."""
     if error > angle / 2:
         call.warn(
             f"unsure {name}",
@@ -363,7 +350,6 @@ def _warned_of_angle(call: Once, name: str, errors: NDArray, *means: NDArray) ->
             "noise turns the axes of few grains, so that small angles are too large. Average over more steps, runs or "
             "axes (axes=), or increase width=",
         )
-    return errors
 
 
 # --- floors ------------------------------------------------------------------------------------------
