@@ -377,3 +377,23 @@ def test_two_columns_of_one_name_raise():
     )
     with pytest.raises(xcg.SceneError, match="particles: two columns are called 'x'"):
         xcg.scene_from_table(table, density=1.0)
+
+
+@pytest.mark.parametrize("key", ["units", "unit"])
+def test_units_in_the_metadata_of_parquet_are_read(tmp_path, key):
+    pa = pytest.importorskip("pyarrow")
+    units = dict.fromkeys("xyz", "mm") | dict.fromkeys(("vx", "vy", "vz"), "cm/s")
+    units |= {"time": "ms", "radius": "um", "id": "1"}
+    values = {name: np.arange(2.0) + 1 for name in units}
+    values["time"] = np.array([5.0, 5.0])
+    fields = [pa.field(name, pa.float64(), metadata={key: units[name]}) for name in units]
+    table = pa.table([*values.values()], schema=pa.schema(fields))
+    path = str(tmp_path / "grains.parquet")
+    pytest.importorskip("pyarrow.parquet").write_table(table, path)
+    ds = xcg.open_scene(path, density=1.0)
+    np.testing.assert_allclose(ds.position[0], [[1e-3] * 3, [2e-3] * 3])
+    np.testing.assert_allclose(ds.diameter[0], [2e-6, 4e-6])
+    np.testing.assert_allclose(ds.velocity[0, :, 0], [1e-2, 2e-2])
+    assert ds.time.values.tolist() == [5e-3]
+    given = xcg.open_scene(path, density=1.0, units={"length": 1.0, "time": 1.0})
+    assert given.position[0, 0].values.tolist() == [1.0, 1.0, 1.0]

@@ -28,6 +28,7 @@ from xcg.common import memory
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import THREADS
 from xcg.compiled.text import BEYOND, REST, read_rows
+from xcg.readers.column_units import parse_unit, unit_of
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import PIECE, Scanner, body_of, scanned, source_of, whole_lines
 
@@ -706,13 +707,26 @@ def _opened(path: str) -> Iterator[Any]:
         ) from None
 
 
+def _columns_of_parquet(file: Any) -> dict[str, str]:
+    """Return the file's name of each column, by its name with the unit that its metadata hold, ``x [mm]``."""
+    columns = {}
+    for field in file.schema_arrow:
+        metadata = field.metadata or {}
+        unit = metadata.get(b"units", metadata.get(b"unit", b"")).decode()
+        is_known = parse_unit(unit) is not None and unit_of(field.name) is None
+        columns[f"{field.name} [{unit}]" if is_known else field.name] = field.name
+    return columns
+
+
 def scan_parquet(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> TableIndex:
     """Read names of columns, number of rows, and the columns of times."""
     with _opened(path) as file:
-        names = tuple(file.schema_arrow.names)
+        in_file = _columns_of_parquet(file)
+        names = tuple(in_file)
         wanted = sorted(set(clock_of(names).values()))
         rows = file.metadata.num_rows
-        table = file.read(columns=wanted)
+        columns = [in_file[name] for name in wanted]
+        table = file.read(columns=columns).select(columns).rename_columns(wanted)
         if wanted and table.num_rows != rows:
             raise SceneError(
                 f"{path}: {table.num_rows} rows, but its metadata promise {rows}; the file is damaged"
@@ -729,7 +743,10 @@ def read_parquet(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> d
             [0, *(file.metadata.row_group(k).num_rows for k in range(file.num_row_groups))]
         )
         groups = np.flatnonzero((edges[:-1] < stop) & (edges[1:] > first)).tolist()
-        table = file.read_row_groups(groups, columns=list(wanted))
+        in_file = _columns_of_parquet(file)
+        columns = [in_file[name] for name in wanted]
+        table = file.read_row_groups(groups, columns=columns).select(columns)
+        table = table.rename_columns(list(wanted))
         at = first - int(edges[groups[0]]) if groups else 0
         table = table.slice(at, ref.rows)
         if table.num_rows != ref.rows:
