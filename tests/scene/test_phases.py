@@ -75,6 +75,16 @@ def test_sizes_five_standard_deviations_apart_are_two_phases():
         )
 
 
+def test_threads_are_limited_once_for_all_numbers_of_clusters(monkeypatch):
+    """Each time reads the list of all mapped files, which grows with the libraries of a process."""
+    threadpoolctl = pytest.importorskip("threadpoolctl")
+    calls = []
+    limits = threadpoolctl.threadpool_limits
+    monkeypatch.setattr(threadpoolctl, "threadpool_limits", lambda n: calls.append(n) or limits(n))
+    assert phases(at_rest(np.repeat([0.002, 0.004, 0.006], 20))) == [1, 2, 3]
+    assert calls == [1]
+
+
 def test_same_size_other_density_and_three_phases():
     kind = np.random.default_rng(4).integers(0, 3, 900)
     d = np.array([0.002, 0.002, 0.005])[kind]

@@ -253,15 +253,14 @@ def _cluster(points: NDArray, most: int, seed: int) -> tuple[NDArray, list[float
     labels = np.zeros(len(points), int)
     best = MIN_SILHOUETTE
     scores = []
-    for k in range(2, min(most, distinct) + 1):
-        with threadpool_limits(
-            1
-        ):  # threads of OpenMP wait in turns: 20 times as long beside other work
+    # threads of OpenMP wait in turns: 20 times as long beside other work
+    with threadpool_limits(1):
+        for k in range(2, min(most, distinct) + 1):
             model = KMeans(k, n_init=5, random_state=seed).fit(sample)
-        scores.append(_silhouette(sample, model.labels_, rng))
-        if scores[-1] > best + 1e-6:  # of equal ones the fewest clusters
-            best = scores[-1]
-            labels = model.predict(points)
+            scores.append(_silhouette(sample, model.labels_, rng))
+            if scores[-1] > best + 1e-6:  # of equal ones the fewest clusters
+                best = scores[-1]
+                labels = model.predict(points)
     return labels, scores
 
 
