@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -78,7 +79,7 @@ def test_a_wall_larger_than_the_grains_says_where_its_cells_end():
     low = float((x - radius).min())
     high = float((x + radius).max())
     floor = xcg.Plane((0, 0, 0), (0, 0, 1))
-    f = ds.cg.wall_stress(floor)
+    f = ds.cg.wall_stress(floor, within=1e-3)
     size = f.x[1] - f.x[0]
     dmax = float(ds.diameter.max()) / 2  # the cells reach as far as the largest grain would
     assert float(f.x[0] - size / 2) <= low < float(f.x[0] - size / 2) + dmax
@@ -86,7 +87,7 @@ def test_a_wall_larger_than_the_grains_says_where_its_cells_end():
     assert f"x from {float(f.x[0] - size / 2):.4g}" in f.attrs["comment"]
     assert "y from" not in f.attrs["comment"]
     wider = xcg.Plane((0, 0, 0), (0, 0, 1), bounds=((-3, 8), (0, 5)))
-    g = ds.cg.wall_stress(wider)
+    g = ds.cg.wall_stress(wider, within=1e-3)
     assert "comment" not in g.attrs
     np.testing.assert_allclose(g.wall_force, f.wall_force)
     assert not g.normal_traction.sel(x=slice(None, low - 2 * f.attrs["cutoff"])).any()
@@ -227,6 +228,33 @@ def test_walls_of_the_silo_carry_its_weight():
     assert (
         float(deep.sel(z=slice(0.02, 0.08)).mean()) < 0.6 * density * 0.17
     )  # Janssen: less than the weight above
+
+
+def test_contacts_of_another_wall_warn_and_name_the_way_out():
+    """Those of the side within the width from the floor add a tenth to the force on the floor."""
+    ds = xcg.open_scene(DATA / "particles.dump.gz", walls=WALLS).compute()
+    with pytest.warns(
+        xcg.SceneWarning, match=r"13 of the 67 contacts taken .* name the wall, walls="
+    ):
+        both = ds.cg.wall_stress(FLOOR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        floor = ds.cg.wall_stress(FLOOR, walls="floor")
+        near = ds.cg.wall_stress(FLOOR, within=1e-4)
+    assert both.wall_force[0, 2] < 1.1 * floor.wall_force[0, 2] < 0
+    np.testing.assert_allclose(near.wall_force, floor.wall_force)
+
+
+def test_a_rough_wall_is_no_other_wall():
+    rng = np.random.default_rng(3)
+    point = rng.uniform(0, 6, (60, 3)) * [1, 1, 0.08]
+    arm = rng.normal(size=point.shape)
+    arm[:, 2] = abs(arm[:, 2])
+    centre = point + 0.5 * arm / np.linalg.norm(arm, axis=1)[:, None]
+    ds = touching(point, np.ones((60, 3)), centre=centre)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", ".*another wall")
+        assert ds.cg.wall_stress(FLOOR, 0.9).wall_contacts.item() == 60
 
 
 def test_contacts_across_a_periodic_edge_count_on_both_sides():

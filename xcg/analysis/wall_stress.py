@@ -62,7 +62,7 @@ def wall_stress(
     walls : str, int or list of these, optional
         Walls whose contacts are taken, by name or number, see `select_walls`; by default all,
         frozen grains among them. At edges, where contacts with one wall are near another, say
-        which.
+        which; a warning counts them.
     kernel : str or Kernel
         As in `coarse_grain`.
     spacing : float, optional
@@ -123,6 +123,10 @@ def wall_stress(
     cells = surface.cells(low, high, float(spacing or smooth.width / 2))
     analysis = _WallStress(surface, cells, smooth, float(within or smooth.width))
     return run(scene, analysis, call=call, on_error=on_error)
+
+
+_OFF = 0.1  # radii that the points of a flat wall's contacts are off its surface at most
+_BESIDE = 0.5  # cosine of the direction to the grain and the normal of the surface
 
 
 def _box_of_grains(scene: Scene) -> tuple[NDArray, NDArray]:
@@ -193,13 +197,16 @@ class _WallStress(FrameAnalysis):
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
         """Compute the tractions of one step."""
-        _, point, force = Contacts.of(without_frozen(frame), lattice, source).at_walls
-        point, force = _over_surface(self, point, -force, lattice, source)
+        free = without_frozen(frame)
+        row, point, force = Contacts.of(free, lattice, source).at_walls
+        arm = lattice.shortest(free["position"][row] - point)
+        point, force, arm = _over_surface(self, point, [-force, arm], lattice, source)
         if not len(point):
             warn_once(
                 "wall stress",
                 f"{source}: no contact with a wall is within {self.within:.3g} m of {self.surface!r}",
             )
+        self._warn_of_other_walls(point, arm, source)
         normal, along = self.surface.in_surface(point, force)
         smeared = _smear(self, point, np.column_stack([-normal, along, force]), lattice)
         shape = self.cells.shape
@@ -212,6 +219,21 @@ class _WallStress(FrameAnalysis):
             "wall_contacts": len(force),
         }
 
+    def _warn_of_other_walls(self, point: NDArray, arm: NDArray, source: str) -> None:
+        """Warn where grains beside a flat wall touch another wall, whose contacts are taken, too."""
+        radius = np.linalg.norm(arm, axis=1)
+        across, _ = self.surface.in_surface(point, arm)
+        off = np.abs(self.surface.distance(point)) > _OFF * radius
+        beside = off & (np.abs(across) < _BESIDE * radius)
+        is_flat = np.count_nonzero(~off) > np.count_nonzero(off & ~beside)
+        if beside.any() and is_flat:
+            warn_once(
+                "other walls",
+                f"{source}: {np.count_nonzero(beside)} of the {len(point)} contacts taken are off the surface, with "
+                f"grains beside them, as on another wall; name the wall, walls=, or give a smaller within= than "
+                f"{self.within:.3g} m",
+            )
+
     def after(self, result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
         """Mark sums over contacts, which averages take as they are."""
         for values in result.data_vars.values():
@@ -220,11 +242,11 @@ class _WallStress(FrameAnalysis):
 
 
 def _over_surface(
-    task: _WallStress, point: NDArray, force: NDArray, lattice: Lattice, source: str
+    task: _WallStress, point: NDArray, vectors: list[NDArray], lattice: Lattice, source: str
 ) -> tuple[NDArray, ...]:
-    """Return points and forces of contacts near the cells, as the images nearest to the surface."""
+    """Return points and vectors of contacts near the cells, as the images nearest to the surface."""
     if not len(point):
-        return point, force
+        return point, *vectors
     surface = task.surface
     cells = task.cells
     shifts = _shifts(lattice, 1)
@@ -241,7 +263,7 @@ def _over_surface(
         for a, x, (low, high) in zip(dims, coordinates, cells.bounds, strict=True):
             if a not in task.setup.periodic:
                 warn_beyond(a, x, low, high, source, what="contacts with the wall")
-    return (point + shifts[nearest])[near], force[near]
+    return (point + shifts[nearest])[near], *(vector[near] for vector in vectors)
 
 
 def _shifts(lattice: Lattice, count: int) -> NDArray:
