@@ -24,7 +24,6 @@ from xcg.steps.labels import call_of, labelled
 
 FORCE_BINS = np.logspace(-4, 2, 61)
 RattlerRule: TypeAlias = Literal["count", "iterative"]
-StrainMeasure: TypeAlias = Literal["logarithmic", "engineering"]
 RateSource: TypeAlias = Literal["box", "velocity"]
 MixingWeight: TypeAlias = Literal["number", "volume"]
 
@@ -75,7 +74,6 @@ def microstructure(
     max_connectivity: int = 63,
     force_bins: ArrayLike | None = None,
     strain_rate: RateSource | float | xr.DataArray | None = None,
-    strain: StrainMeasure = "logarithmic",
     axis: str | None = None,
     cell: float | Mapping[str, float] | None = None,
     mixing_weight: MixingWeight = "number",
@@ -113,8 +111,6 @@ def microstructure(
         sheared box changes, else from the strain of the box by finite differences in time), or
         "velocity" (from the affine flow that fits the velocities of each group best). By default
         "box" where the box shears, or is not tilted and has several steps, else "velocity".
-    strain : str
-        "logarithmic" (default) or "engineering", relative to the first step of `ds`.
     axis : str, optional
         Axis of the axial strain, and of heights in ``segregation_index``; by default the last of the
         scene.
@@ -187,8 +183,8 @@ def microstructure(
     particle_density                   :math:`\rho = \sum m_i / \sum V_i`
     strain_rate                        :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
                                        2D: :math:`\sqrt{2 e:e}`
-    volumetric_strain, axial_strain    :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
-                                       engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
+    volumetric_strain, axial_strain    :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box,
+                                       relative to the first step of `ds`
     lacey_index                        :math:`(S_0^2 - S^2) / (S_0^2 - S_r^2)`, with `by`                   [7]_
     lacey_noise                        its standard deviation in a random mixture, about                    [9]_
                                        :math:`\sqrt{2 / K} / (n - 1)` for K cells of n grains
@@ -255,7 +251,6 @@ def microstructure(
     ds = scene.ds
     scene.require((), "microstructure")
     check_choice("rattlers", rattlers, RattlerRule)
-    check_choice("strain", strain, StrainMeasure)
     check_choice("mixing_weight", mixing_weight, MixingWeight)
     setup = scene.setup
     regions = _regions(bounds, scene.setup.plane)
@@ -292,7 +287,7 @@ def microstructure(
     )
     scene.require(sorted(measure.needs), f"microstructure ({', '.join(names)})")
     result = run(scene, measure, call=call, on_error=on_error)
-    return _with_series(scene, result, names, rate, strain, up)
+    return _with_series(scene, result, names, rate, up)
 
 
 def _check_cell(cell: float | Mapping[str, float], plane: str) -> None:
@@ -444,7 +439,6 @@ def _with_series(
     result: xr.Dataset,
     names: Sequence[str],
     rate: str | xr.DataArray,
-    strain: str,
     axis: str,
 ) -> xr.Dataset:
     """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
@@ -460,10 +454,8 @@ def _with_series(
         total = stretch.sum("component", skipna=False)
         axial = stretch.sel(component=axis, drop=True)
         for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
-            values = 0.0 - logarithm
-            if strain == "engineering":
-                values = 1 - xr.ufuncs.exp(logarithm)
-            result[name] = labelled(values, "1", STRAIN[name]).assign_attrs(measure=strain)
+            values = labelled(0.0 - logarithm, "1", STRAIN[name])
+            result[name] = values.assign_attrs(measure="logarithmic")
         if _is(rate, "box") and "lattice_velocity" in ds:
             rate = _rate_of_lattice(ds, setup.plane)
         elif _is(rate, "box"):
