@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.readers.cells import box_of_cell
+from xcg.readers.column_units import parse_unit
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.hdf5data import dataset, is_hdf5, opened, text_of
 from xcg.readers.files.text import source_of
+from xcg.readers.named_columns import powers_of_slot
 from xcg.readers.names import vector_columns
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
@@ -31,14 +33,7 @@ if TYPE_CHECKING:
 
 _MOST_COMPONENTS = 9
 _BOUNDARIES = ("none", "periodic")
-_SI = {
-    "position": ("m",),
-    "velocity": ("m s-1", "m/s", "m s^-1", "m*s^-1"),
-    "mass": ("kg",),
-    "radius": ("m",),
-    "diameter": ("m",),
-    "time": ("s",),
-}
+_WITH_UNITS = ("position", "velocity", "mass", "radius", "diameter", "time")
 
 
 class H5md(Columnar):
@@ -359,10 +354,14 @@ def _units(group: _Group) -> str | None:
         named["time"] = group.file[time]
     units = {
         name: text_of(named[name].attrs["unit"])
-        for name in _SI
+        for name in _WITH_UNITS
         if name in named and "unit" in named[name].attrs
     }
-    others = [f"{unit} of {name}" for name, unit in units.items() if unit.strip() not in _SI[name]]
+    others = [
+        f"{unit} of {name}"
+        for name, unit in units.items()
+        if parse_unit(unit) != (1.0, powers_of_slot(name))
+    ]
     if units and not others:
         return "si"
     return ", ".join(others) or None
