@@ -210,6 +210,8 @@ class Report:
         doubt = ""
         if any(canonical(name) == "tx" for name in likely):
             doubt = " (tx may also be a torque or a direction)"
+        if "momentum" in listed or "momenta" in listed:
+            doubt = " (momenta are no velocities: divide them by the masses)"
         return (
             f"columns {listed} resemble variables and are not read{doubt}; map them{example}, or drop them by "
             f"names={{{next(iter(likely))!r}: None}}"

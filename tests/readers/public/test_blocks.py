@@ -37,6 +37,7 @@ def test_tables_below_a_text_are_steps_with_the_times_above_them(tmp_path, head)
         ("TIME = 500 ms", 0.5),
         ("// t = 0.5 s", 0.5),
         ("Time (ms),500", 0.5),
+        ("TIME:,0.5 s,", 0.5),
         ("Simulation time: 2", 2.0),
         ("time: [s] .5", None),
     ],

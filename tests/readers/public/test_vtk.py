@@ -578,9 +578,11 @@ def test_damaged_series_are_named(tmp_path, text):
 
 
 @pytest.mark.parametrize("kind", [vtkPolyData, vtkUnstructuredGrid])
-def test_vtkhdf_of_one_step_is_read(tmp_path, kind):
-    write(vertices(kind, time=0.75), tmp_path / "g_3.vtkhdf", "vtkhdf")
-    ds = xcg.open_scene(tmp_path / "g_3.vtkhdf", density=1.0).load()
+@pytest.mark.parametrize("suffix", ["vtkhdf", "hdf"])
+def test_vtkhdf_of_one_step_is_read(tmp_path, kind, suffix):
+    path = tmp_path / f"g_3.{suffix}"
+    write(vertices(kind, time=0.75), path, "vtkhdf")
+    ds = xcg.open_scene(path, density=1.0).load()
     np.testing.assert_array_equal(ds.time, [0.75])
     assert_grains(ds)
 

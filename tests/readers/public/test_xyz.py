@@ -182,7 +182,7 @@ def test_contacts_are_refused(tmp_path):
 @pytest.mark.filterwarnings("ignore:.*species are words")
 def test_momenta_of_ase_are_named(tmp_path):
     path = write_extended(tmp_path / "a.xyz", velo="momenta")
-    with pytest.warns(xcg.SceneWarning, match="'momenta_x' .velocity.*resemble variables"):
+    with pytest.warns(xcg.SceneWarning, match="'momenta_x' .velocity.*divide them by the masses"):
         assert "velocity" not in xcg.open_scene(path, density=1.0)
 
 

@@ -95,8 +95,8 @@ class Vtk(Engine):
 
     def recognises(self, path: str) -> bool:
         """Return whether this is a VTK file of points, or a list of such files."""
-        if suffix_of(path) == ".vtkhdf":
-            return is_hdf5(path)
+        if is_hdf5(path):
+            return suffix_of(path) == ".vtkhdf" or vtkhdf_points.has_group(path)
         is_list = suffix_of(path) == ".series"
         return is_list or is_legacy(path) or is_xml(path, _XML, b"VTKFile")
 

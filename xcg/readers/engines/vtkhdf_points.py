@@ -1,4 +1,4 @@
-"""Points in VTKHDF files (``.vtkhdf``): PolyData and unstructured grids, of one step or many."""
+"""Points in VTKHDF files (``.vtkhdf``, ``.hdf``): PolyData and unstructured grids, of one step or many."""
 
 from __future__ import annotations
 
@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 KIND = "vtkhdf"  # of a step
 _POINTS = "Points"
 _ROOT = "VTKHDF"
+
+
+def has_group(path: str) -> bool:
+    """Return whether an HDF5 file has the group of VTKHDF."""
+    with opened(path) as file:
+        return _ROOT in file
 
 
 def mesh_of(path: str) -> str:

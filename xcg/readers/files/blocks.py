@@ -23,8 +23,8 @@ _MOST_TEXT = 1000  # lines in which the names of columns are looked for
 _FEWEST_NAMES = 3
 _LONGEST_ROW = 1 << 14  # bytes
 _MARKS = b"#%/ \t"  # of comments
-_TIME = re.compile(  # TIME: 0.5 s, // t = 500 ms, Time (s),0.5
-    r"\W*(?:simulation |sim |current |physical )?(?:time|t)\s*(?:[\[(](\w+)[\])])?\s*[:=,;\t ]\s*"
+_TIME = re.compile(  # TIME: 0.5 s, TIME:,0.5, // t = 500 ms, Time (s),0.5
+    r"\W*(?:simulation |sim |current |physical )?(?:time|t)\s*(?:[\[(](\w+)[\])])?\s*[:=,;\t ][,;\s]*"
     r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?)\s*[\[(]?([A-Za-zµ]*)[\])]?[\s,;]*",
     re.IGNORECASE,
 )
