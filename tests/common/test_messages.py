@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg.common.messages import Once, did_you_mean, warn_once, warn_user
+from xcg.common.messages import Once, active_call, did_you_mean, warn_once, warn_user
+from xcg.steps.analysis import map_over_time
 from xcg.steps.faults import SkippedStep
-from xcg.steps.mapping import map_over_time
 
 
 def line_of(record, text):
@@ -30,9 +30,9 @@ def doubtful(arrays):
 
 
 def mapped(ds):
-    return map_over_time(ds, ["position", "step"], doubtful, {"a": ((), "float64")}, "doubtful")[
-        "a"
-    ]
+    with active_call().active():  # as in functions that take a scene
+        results = {"a": ((), "float64")}
+        return map_over_time(ds, ["position", "step"], doubtful, results, "doubtful")["a"]
 
 
 def without_box():

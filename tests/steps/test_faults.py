@@ -121,7 +121,7 @@ def test_steps_with_the_number_of_a_skipped_one_stay(lazy):
 
 
 def test_programming_errors_are_never_skipped(folder):
-    from xcg.steps.mapping import map_over_time
+    from xcg.steps.analysis import map_over_time
 
     def broken(arrays):
         msg = "not the data's fault"
@@ -139,7 +139,7 @@ def test_programming_errors_are_never_skipped(folder):
 ])  # fmt: skip
 @pytest.mark.parametrize("lazy", [False, True])
 def test_faults_of_data_and_files_are_skipped(folder, error, lazy):
-    from xcg.steps.mapping import map_over_time
+    from xcg.steps.analysis import map_over_time
 
     def faulty(arrays):
         if 20 in arrays["step"]:
@@ -167,7 +167,7 @@ def test_faults_of_data_and_files_are_skipped(folder, error, lazy):
     MemoryError, RecursionError, StopIteration, ImportError, KeyboardInterrupt,
 ])  # fmt: skip
 def test_errors_of_programs_are_raised(folder, error):
-    from xcg.steps.mapping import map_over_time
+    from xcg.steps.analysis import map_over_time
 
     def broken(arrays):
         raise error

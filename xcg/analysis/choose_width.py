@@ -21,7 +21,7 @@ from xcg.fields.formulas.averages import time_average
 from xcg.fields.formulas.field import Quantity
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.request import SharedOptions, takes
-from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_width
+from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_length
 from xcg.scene.scene import Scene
 from xcg.steps.labels import labelled_table
 
@@ -128,7 +128,7 @@ def choose_width(scene: Scene, request: ChoiceRequest) -> xr.Dataset:
     scene, request = prepare(scene, request)
     refuse_cylindrical(scene.ds, "choose_width")
     count = scene.ds.sizes.get("time", 1)
-    widths = sorted({resolve_width(width, scene.sizes) for width in request.widths})
+    widths = sorted({resolve_length("width", width, scene.sizes) for width in request.widths})
     if len(widths) < 3:
         raise ValueError(
             f"widths={list(request.widths)!r}: expected three or more different widths"

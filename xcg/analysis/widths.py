@@ -17,7 +17,7 @@ from xcg.fields.formulas.field import Quantity
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
-from xcg.fields.sums.kernels import resolve_width
+from xcg.fields.sums.kernels import resolve_length
 from xcg.scene.facts import SETUP, with_setup
 from xcg.scene.scene import Scene
 from xcg.scene.schema import units_in
@@ -97,7 +97,7 @@ def width_sweep(scene: Scene, request: SweepRequest) -> xr.Dataset:
     thinner than the width it is large, but no more than a sign that the width is too large there.
     The noise of few grains adds to it: compare with the errors of the field (``errors=True``).
     """
-    lengths = sorted({resolve_width(width, scene.sizes) for width in request.widths})
+    lengths = sorted({resolve_length("width", width, scene.sizes) for width in request.widths})
     if len(lengths) < 2:
         raise ValueError(f"widths={list(request.widths)!r}: expected two or more different widths")
     points, along = _points(request.at)

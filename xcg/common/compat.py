@@ -39,4 +39,4 @@ def stored_data(variable: xr.Variable) -> Any:
 
 def is_in_memory(variable: xr.Variable) -> bool:
     """Return whether the values of a variable are a NumPy array, neither lazy nor still in a file."""
-    return isinstance(stored_data(variable), np.ndarray)
+    return isinstance(variable._data, np.ndarray)

@@ -342,16 +342,8 @@ def grains(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
             table[name] = (level + width + number.columns, value)
         constants.append(number)
         width += number.width
-    run = Pass(arrays.plan.group_count, level + _in_fours(width), table, level)
-    _add_points(
-        arrays, run, images, arrays.phase[images.row], flow=arrays.flow, constants=constants
-    )
-    return [run]
-
-
-def _in_fours(width: int) -> int:
-    """Return the next multiple of four: the loop adds four columns at a time."""
-    return width + -width % 4
+    phase = arrays.phase[images.row]
+    return [_over_points(arrays, table, images, phase, level, arrays.flow, constants)]
 
 
 def _is_constant(values: NDArray) -> bool:
@@ -368,9 +360,9 @@ def slopes(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
         columns = MOMENTS[flow].first + MOMENTS[flow].columns
         table[name] = (columns, -1 / arrays.plan.cutoff_of_group)
     images = arrays.grains
-    run = Pass(arrays.plan.group_count, loops.LINEAR, table, loops.LINEAR)
-    _add_points(arrays, run, images, arrays.phase[images.row], flow=arrays.flow, by_gradient=True)
-    return [run]
+    phase = arrays.phase[images.row]
+    level = loops.LINEAR
+    return [_over_points(arrays, table, images, phase, level, arrays.flow, by_gradient=True)]
 
 
 def vectors(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
@@ -387,11 +379,8 @@ def vectors(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
             values = arrays.column(moment, images)
         flow = np.ascontiguousarray(values[:, 1:]), np.ascontiguousarray(values[:, 0])
         table: dict[str, Columns] = {name: (moment.first + moment.columns, 1.0)}
-        level = moment.level
-        groups = arrays.plan.group_count
-        run = Pass(groups, level, table, level, apart=True, vector=moment.vector)
-        _add_points(arrays, run, images, phase, flow=flow)
-        passes.append(run)
+        run = _over_points(arrays, table, images, phase, moment.level, flow)
+        passes.append(replace(run, apart=True, vector=moment.vector))
     return passes
 
 
@@ -405,9 +394,7 @@ def at_contacts(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]
         columns.append(arrays.column(moment, images, contact) * share[:, None])
         table[name] = (width + moment.columns, 1.0)
         width += moment.width
-    run = Pass(arrays.plan.group_count, _in_fours(width), table)
-    _add_points(arrays, run, images, phase, constants=columns)
-    return [run]
+    return [_over_points(arrays, table, images, phase, constants=columns)]
 
 
 def between_phases(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pass]:
@@ -449,34 +436,35 @@ def _of_force(
 ) -> Pass:
     """Prepare a pass over points with a force each."""
     table: dict[str, Columns] = {name: (moment.columns, 1.0) for name, moment in moments.items()}
-    run = Pass(arrays.plan.group_count * others, _in_fours(3), table)
-    _add_points(arrays, run, images, phase, constants=[force], others=others)
-    return run
+    return _over_points(arrays, table, images, phase, constants=[force], others=others)
 
 
-def _add_points(
+def _over_points(
     arrays: StepArrays,
-    run: Pass,
+    table: Mapping[str, Columns],
     images: Images,
     phase: NDArray,
-    *,
+    level: int = loops.NONE,
     flow: tuple[NDArray, NDArray] | None = None,
     constants: list[Moment | NDArray] | None = None,
+    *,
     others: int = 1,
     by_gradient: bool | None = None,
-) -> None:
-    """Add the loops over grains, or other points, with kinematic columns and columns of constants.
+) -> Pass:
+    """Prepare the pass over grains, or other points, with kinematic columns and columns of constants.
 
-    `flow` are velocities and masses, or numbers and weights in their places. `constants` are columns,
-    or moments whose columns are made here; the list is emptied, as memory holds one of them beside
-    what is written. With `others`, `phase` is the number of a pair of phases, the first times
-    `others` plus the second.
+    `flow` are velocities and masses, or numbers and weights in their places. `constants` are
+    columns, or moments whose columns are made here; the list is emptied, as memory holds one of them
+    beside what is written. With `others`, `phase` is the number of a pair of
+    phases, the first times `others` plus the second.
     """
     plan = arrays.plan
     position = images.position
     count = len(position)
-    level = run.level
-    written = np.zeros((count, run.columns - level))
+    constants = constants or []
+    width = sum(c.width if isinstance(c, Moment) else c.shape[1] for c in constants)
+    written = np.zeros((count, width + -width % 4))  # the loop adds four columns at a time
+    run = Pass(plan.group_count * others, level + written.shape[1], table, level)
     first = 0
     while constants:
         columns = constants.pop(0)
@@ -487,9 +475,9 @@ def _add_points(
         del columns  # before the next are made
     velocity, mass = flow or (np.zeros((count, 3)), np.zeros(count))
     of_squares = [column for column in loops.SQUARES if column < level]
-    has_squares = any(np.isin(columns, of_squares).any() for columns, _ in run.moments.values())
+    has_squares = any(np.isin(columns, of_squares).any() for columns, _ in table.values())
     if not count and not has_squares:
-        return
+        return run
     origin = arrays.origin
     for cutoff, smoothing in arrays.smoothings.items():
         rows = images.order
@@ -506,6 +494,7 @@ def _add_points(
             _add_squared(arrays, run, points, np.flatnonzero(of_cutoff), smoothing)
         flags = level, translations, by_gradient
         run.fills.append(partial(_fill, points, smoothing, flags))
+    return run
 
 
 def _add_squared(

@@ -136,9 +136,7 @@ _SEEN: dict[str, dict[str, Any]] = {}
 
 def setup_of(attrs: Mapping[Any, Any]) -> xr.Variable:
     """Return the coordinate `setup` of a Dataset with these attributes."""
-    facts = _facts_in(attrs)
-    code = _code_of(facts)
-    _SEEN[code] = facts
+    code, facts = _coded(attrs)
     # Zarr 3 specifies no text of fixed length
     return xr.Variable((), code, facts, {"dtype": object})
 
@@ -166,12 +164,10 @@ def with_facts(ds: xr.Dataset) -> xr.Dataset:
     if SETUP not in ds.coords:
         return ds
     setup = ds.variables[SETUP]
-    facts = _facts_in(setup.attrs)
-    code = _code_of(facts)
+    code, facts = _coded(setup.attrs)
     values = dict.fromkeys(np.ravel(setup.to_numpy()).tolist())
     if list(values) != [code]:
         return _with_unlike_facts(ds, values)
-    _SEEN[code] = facts
     lost = {name: value for name, value in facts.items() if name not in ds.attrs}
     if lost:
         ds = ds.assign_attrs(lost)
@@ -182,45 +178,41 @@ def _with_unlike_facts(ds: xr.Dataset, values: Iterable[Any]) -> xr.Dataset:
     """Return `with_facts` of a Dataset whose coordinate has `values` that are not the code of its attributes."""
     parts = {}
     for value in values:
-        facts = _facts_in(ds.variables[SETUP].attrs)
-        code = value
-        if not (isinstance(value, str) and _CODE.fullmatch(value)):
-            facts = _facts_in(_json_object(value))
-            code = _code_of(facts)
-            ds = ds.assign_coords({SETUP: setup_of(facts)})
-        parts[code] = facts
+        if isinstance(value, str) and _CODE.fullmatch(value):
+            parts[value] = ds.variables[SETUP].attrs
+            continue
+        code, parts[code] = _coded(_json_object(value))
+        ds = ds.assign_coords({SETUP: setup_of(parts[code])})
     if len(parts) > 1:
         raise SceneError(
             f"parts that differ were joined: {_differences(list(parts))}. Fields and averages need parts of one kind: "
             "take the parts one by one, and join their averages"
         )
     for code, facts in parts.items():
-        if _code_of(facts) == code:  # that of the text of an earlier version
+        if _coded(facts)[0] == code:  # that of the text of an earlier version
             return with_facts(ds)
         _require_code(ds, code, facts)
     return ds
 
 
-def _facts_in(attrs: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return the attributes that numbers depend on."""
+def _coded(attrs: Mapping[Any, Any]) -> tuple[str, dict[str, Any]]:
+    """Return the attributes that numbers depend on, after eight hexadecimal digits for them.
+
+    The digits are the same when a file holds the attributes: files store whole numbers as floats,
+    and lists of one number as the number.
+    """
     facts = {name: attrs[name] for name in (*OF_SCENES, *OF_RESULTS) if name in attrs}
     if facts.get("size") not in ("d50", "dmax"):
         facts.pop("size_diameter", None)  # d43 and d32 are those of each node
-    return facts
-
-
-def _code_of(facts: Mapping[str, Any]) -> str:
-    """Return eight hexadecimal digits for these facts, the same when a file holds them.
-
-    Files store whole numbers as floats, and lists of one number as the number.
-    """
     texts = []
     for name in sorted(facts):
         values = np.ravel(facts[name])
         if values.dtype.kind in "biuf":
             values = values.astype(float)
         texts.append(f"{name}={values.tolist()}")
-    return hashlib.blake2b("\n".join(texts).encode(), digest_size=4).hexdigest()
+    code = hashlib.blake2b("\n".join(texts).encode(), digest_size=4).hexdigest()
+    _SEEN[code] = facts
+    return code, facts
 
 
 def _json_object(text: Any) -> dict[str, Any]:
@@ -242,7 +234,7 @@ def _require_code(ds: xr.Dataset, code: str, facts: Mapping[str, Any]) -> None:
 
     `facts` are the attributes of the coordinate, which have another code.
     """
-    if _code_of(_facts_in(ds.attrs)) == code:
+    if _coded(ds.attrs)[0] == code:
         return
     if facts:
         raise SceneError(

@@ -16,13 +16,13 @@ from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.scene import Scene
 from xcg.scene.schema import OF_STEP, PADDING, Frame, Setup, Variable
-from xcg.steps.faults import OnError
+from xcg.steps.faults import SKIPPED, Compute, OnError, Result, check_on_error, guarded
 from xcg.steps.labels import AXES, call_of, label
-from xcg.steps.mapping import map_over_time
+from xcg.steps.mapping import lazy_results
 
 # a frame, its periodic images, and its name in messages
 Step: TypeAlias = tuple[Frame, Lattice, str]
-_ROWS = ("particle", "contact")
+_LAST = ("component", "direction", "bound")  # dimensions of a row, in the order of tasks
 
 
 @dataclass(frozen=True)
@@ -199,13 +199,15 @@ def run(
     scene.require(required, name)
     outputs = analysis.rows(scene)
     coords = analysis.coords(scene)
-    lengths = _lengths(analysis, scene, coords)
-    shapes = {name: tuple(lengths[dim] for dim in output.dims) for name, output in outputs.items()}
+    lengths: dict[Any, int | None] = {**ds.sizes, **dict.fromkeys(AXES, 3)}
+    for coord in coords.values():
+        lengths |= coord.sizes
+    lengths |= analysis.sizes(scene, ds)
+    shapes = {n: tuple(lengths[dim] for dim in output.dims) for n, output in outputs.items()}
     read = _variables_of_task(ds, [*required, *(n for n in analysis.optional if n in ds)])
-    chunks = max(len(ds.variables[n].chunksizes.get("time", ())) for n in read)
-    threads = 1  # of several chunks at once
-    if chunks <= 1:
-        threads = THREADS
+    threads = THREADS
+    if any(len(ds.variables[n].chunksizes.get("time", ())) > 1 for n in read):
+        threads = 1  # of several chunks at once
     task = _Task(replace(analysis, threads=threads), name, outputs, shapes, read)
     labelled = {*coords, *AXES}
     ragged = [n for n, output in outputs.items() if output.dims and output.dims[0] not in labelled]
@@ -216,7 +218,7 @@ def run(
     if analysis.lags:
         series, beside = _with_others(ds, read, analysis.lags)
     results = {
-        n: (tuple(lengths[dim] or 0 for dim in output.dims), output.dtype)
+        n: (tuple(length or 0 for length in shapes[n]), output.dtype)
         for n, output in outputs.items()
     }
     arrays: dict[str, Any] = {}
@@ -225,19 +227,6 @@ def run(
         arrays = map_over_time(series, [*read, *beside], task, results, tasks, on_error)
     result = label(ds, outputs, arrays, call, coords=coords, **analysis.attrs(scene))
     return analysis.after(result, ds)
-
-
-def _lengths(
-    analysis: FrameAnalysis, scene: Scene, coords: Mapping[str, xr.Variable]
-) -> dict[str, int | None]:
-    """Return the length of each dimension of a step."""
-    of_scene = {str(dim): length for dim, length in scene.ds.sizes.items()}
-    of_coords = {
-        str(dim): length
-        for coord in coords.values()
-        for dim, length in zip(coord.dims, coord.shape, strict=True)
-    }
-    return {**of_scene, **dict.fromkeys(AXES, 3), **of_coords, **analysis.sizes(scene, scene.ds)}
 
 
 def _variables_of_task(ds: xr.Dataset, required: Sequence[str]) -> dict[str, str]:
@@ -253,6 +242,66 @@ def _variables_of_task(ds: xr.Dataset, required: Sequence[str]) -> dict[str, str
         dims = [str(dim) for dim in ds.variables[name].dims if dim not in ("time", *AXES)]
         row_dims[name] = "".join(dims[:1])
     return row_dims
+
+
+def map_over_time(
+    ds: xr.Dataset,
+    names: Iterable[str],
+    compute: Compute,
+    results: Mapping[str, Result],
+    tasks: str,
+    on_error: OnError = "raise",
+) -> dict[str, Any]:
+    """Arrays of all results, time first: computed if the scene is in memory, else one task a chunk of time.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A Dataset with the dimension ``time``.
+    names : iterable of str
+        Variables and coordinates that `compute` needs; each must have the dimension ``time``.
+    compute : callable
+        Takes and returns mappings from names to arrays, time first. It travels to the workers, so
+        it must pickle.
+    results : mapping
+        Shape of one step, and type, of everything that `compute` returns.
+    tasks : str
+        Name of the tasks.
+    on_error : {"raise", "skip"}
+        "skip" fills the steps that cannot be read or computed with NaN (-1 in integers), warns of
+        each when it is computed, and adds the result ``skipped``, True for these steps.
+
+    Returns
+    -------
+    dict
+        NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
+    """
+    variables = ds.variables
+    inputs = {
+        name: variables[name].transpose("time", ..., *_LAST, missing_dims="ignore")
+        for name in names
+    }
+    numbers = None
+    skips = on_error != "raise"
+    if skips:
+        check_on_error(on_error)
+        results = {**results, SKIPPED: ((), "bool")}
+        numbers = _numbers(ds)
+    if not ds.sizes["time"]:
+        return {name: np.empty((0, *shape), dtype) for name, (shape, dtype) in results.items()}
+    if any(values.chunks is not None for values in inputs.values()):
+        return lazy_results(inputs, compute, results, tasks, numbers, on_error)
+    arrays = {name: values.to_numpy() for name, values in inputs.items()}
+    if skips:
+        return guarded(results, numbers, {}, {}, arrays, compute)
+    return compute(arrays)
+
+
+def _numbers(ds: xr.Dataset) -> NDArray | None:
+    """Numbers of the steps, which messages about faults name; None where the scene has lost them."""
+    if "step" not in ds.coords or ds["step"].dims != ("time",) or ds["step"].chunks is not None:
+        return None
+    return ds["step"].to_numpy()
 
 
 # --- one chunk of time ----------------------------------------------------------------------------

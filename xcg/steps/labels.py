@@ -141,17 +141,14 @@ def format_call(function: str, arguments: Mapping[str, Any]) -> str:
     """Write a call on one line, arrays by their shape."""
     texts = []
     for name, value in arguments.items():
-        text = printable(repr(value))
-        if _is_array(value):
+        text = repr(value)
+        parts = value.values() if isinstance(value, Mapping) else [value]
+        if any(getattr(part, "shape", ()) for part in parts):
             text = f"<array {np.shape(value)}>"
-        elif isinstance(value, Mapping) and any(map(_is_array, value.values())):
-            text = format_call("dict", value)
+            if isinstance(value, Mapping):
+                text = format_call("dict", value)
         texts.append(f"{name}={text}")
-    return f"{function}({', '.join(texts)})".replace("\n", " ")
-
-
-def _is_array(value: Any) -> bool:
-    return hasattr(value, "dtype") and np.ndim(value) > 0
+    return printable(f"{function}({', '.join(texts)})").replace("\n", " ")
 
 
 def call_of(function: str, arguments: Mapping[str, Any]) -> str:

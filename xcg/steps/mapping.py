@@ -1,4 +1,4 @@
-"""Map a function over all chunks of time: at once in memory, as one dask task a chunk for lazy scenes.
+"""Tasks of dask, one a chunk of time, which computes all results; chunks and steps of series, and progress.
 
 Functions import dask and tqdm themselves: they load slowly, and scenes in memory do without them.
 """
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import Once, active_call
 from xcg.compiled._jit import is_interactive
 from xcg.scene.conform import without_empty_chunks
-from xcg.steps.faults import SKIPPED, Compute, OnError, Result, check_on_error, guarded
+from xcg.steps.faults import SKIPPED, Compute, Result, guarded
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -29,82 +29,10 @@ if TYPE_CHECKING:
     from dask.highlevelgraph import HighLevelGraph
     from tqdm import tqdm
 
-_LAST = ("component", "direction", "bound")  # dimensions of a row, in the order of tasks
 _SHARE = 0.1  # of all steps, from one plain line to the next
 _LONG = 2.0  # seconds after which work is long enough to show progress unasked
 _BAR = "[{bar:30}] {n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} left"
 _LINE = "{n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} left"
-
-
-def map_over_time(
-    ds: xr.Dataset,
-    names: Iterable[str],
-    compute: Compute,
-    results: Mapping[str, Result],
-    label: str,
-    on_error: OnError = "raise",
-) -> dict[str, Any]:
-    """Arrays of all results, time first: computed if the scene is in memory, else one task a chunk of time.
-
-    Parameters
-    ----------
-    ds : xarray.Dataset
-        A Dataset with the dimension ``time``.
-    names : iterable of str
-        Variables and coordinates that `compute` needs; each must have the dimension ``time``.
-    compute : callable
-        Takes and returns mappings from names to arrays, time first. It travels to the workers, so
-        it must pickle.
-    results : mapping
-        Shape of one step, and type, of everything that `compute` returns.
-    label : str
-        Name of the tasks.
-    on_error : {"raise", "skip"}
-        "skip" fills the steps that cannot be read or computed with NaN (-1 in integers), warns of
-        each when it is computed, and adds the result ``skipped``, True for these steps.
-
-    Returns
-    -------
-    dict
-        NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
-    """
-    variables = ds.variables
-    inputs = {
-        name: variables[name].transpose("time", ..., *_LAST, missing_dims="ignore")
-        for name in names
-    }
-    once = active_call()  # a function that maps several times warns once
-    numbers = None
-    skips = on_error != "raise"
-    if skips:
-        check_on_error(on_error)
-        results = {**results, SKIPPED: ((), "bool")}
-        numbers = _numbers(ds)
-    if not ds.sizes["time"]:
-        return {name: np.empty((0, *shape), dtype) for name, (shape, dtype) in results.items()}
-    if any(values.chunks is not None for values in inputs.values()):
-        compute = partial(_with_warnings_once, once, compute)
-        return _lazy_results(inputs, compute, results, label, numbers, on_error)
-    arrays = {name: values.to_numpy() for name, values in inputs.items()}
-    with once.active():
-        if skips:
-            return guarded(results, numbers, {}, {}, arrays, compute)
-        return compute(arrays)
-
-
-def _with_warnings_once(
-    once: Once, compute: Compute, arrays: Mapping[str, NDArray]
-) -> dict[str, NDArray]:
-    """Compute a chunk in its task; `xcg.common.messages.warn_once` warns once for all tasks."""
-    with once.active():
-        return compute(arrays)
-
-
-def _numbers(ds: xr.Dataset) -> NDArray | None:
-    """Numbers of the steps, which messages about faults name; None where the scene has lost them."""
-    if "step" not in ds.coords or ds["step"].dims != ("time",) or ds["step"].chunks is not None:
-        return None
-    return ds["step"].to_numpy()
 
 
 def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
@@ -133,9 +61,6 @@ def each_step(ds: xr.Dataset) -> Iterator[xr.Dataset]:
         chunk = ds.isel(time=steps).compute()
         for t in range(chunk.sizes["time"]):
             yield chunk.isel(time=[t])
-
-
-# --- tasks of dask: one a chunk, which computes all results ----------------------------------------------
 
 
 def picked(
@@ -226,7 +151,7 @@ class Gathered:
         return arrays
 
 
-def _lazy_results(
+def lazy_results(
     inputs: Mapping[str, xr.Variable],
     compute: Compute,
     results: Mapping[str, Result],
@@ -239,6 +164,7 @@ def _lazy_results(
     from dask.highlevelgraph import HighLevelGraph
     from dask.optimization import cull
 
+    compute = partial(_with_warnings_once, active_call(), compute)
     arrays: dict[str, Any] = {n: v.data for n, v in inputs.items() if v.chunks is not None}
     finest = max((a.chunks[0] for a in arrays.values()), key=len)
     # whole but along time
@@ -274,6 +200,14 @@ def _lazy_results(
         result: picked(graph, name, result, f"{result}-{name}", finest, shape, dtype)
         for result, (shape, dtype) in results.items()
     }
+
+
+def _with_warnings_once(
+    once: Once, compute: Compute, arrays: Mapping[str, NDArray]
+) -> dict[str, NDArray]:
+    """Compute a chunk in its task; `xcg.common.messages.warn_once` warns once for all tasks."""
+    with once.active():
+        return compute(arrays)
 
 
 def _compute_chunk(

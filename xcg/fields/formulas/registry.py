@@ -9,7 +9,7 @@ are about the velocity of the bulk, so that partial fields add up.
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType, SimpleNamespace
@@ -34,20 +34,8 @@ from xcg.scene.facts import RENAMED, SETUP, saved_options
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 
-class _Fields(Mapping[str, Field]):
-    """Rows of fields by name, read-only: those of xcg, and those that users registered."""
-
-    def __init__(self, registered: dict[str, Field], rows: dict[str, Field]) -> None:
-        self._rows = ChainMap(registered, rows)
-
-    def __getitem__(self, name: str) -> Field:
-        return self._rows[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._rows)
-
-    def __len__(self) -> int:
-        return len(self._rows)
+class _Fields(ChainMap[str, Field]):
+    """Rows of fields by name: those that users registered, and those of xcg."""
 
     def __repr__(self) -> str:
         """Return the number of fields, by topic, and how to see them."""
@@ -67,7 +55,8 @@ TOPICS = (flow, contacts, rheology, energy, orientation, displacement, errors)
 _ROWS: dict[str, Field] = {name: field for topic in TOPICS for name, field in topic.ROWS.items()}
 REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
-FIELDS: Mapping[str, Field] = _Fields(REGISTERED, _ROWS)
+_NOTHING: Any = MappingProxyType({})  # is what would be written to
+FIELDS: Mapping[str, Field] = _Fields(_NOTHING, REGISTERED, _ROWS)
 # Fields by the symbols and words that others use for them.
 OTHER_NAMES = RENAMED | {
     "phi": "volume_fraction",

@@ -470,7 +470,7 @@ def _check_registration(name: Any, profile: Any, ratio: Any, smoothness: Any) ->
 def kernel_of(
     kernel: str | Kernel, width: float | str | None, sizes: Mapping[Any, Any], dimension: int
 ) -> Kernel:
-    """Return the kernel of a call: an object with its own width, or one of a name and a width, see `resolve_width`.
+    """Return the kernel of a call: an object with its own width, or one of a name and a width, 0.75 d43 by default.
 
     Raises
     ------
@@ -489,29 +489,22 @@ def kernel_of(
             f"kernel={kernel!r}: expected one of {sorted(_NAMED)} or a kernel object such as "
             f"xcg.Lucy(width=0.01){likely}"
         )
-    return _NAMED[kernel.lower()](resolve_width(width, sizes), dimension=dimension)
+    if isinstance(width, Mapping):
+        raise ValueError(f"width={dict(width)!r}: expected one width here, not one for each group")
+    length = resolve_length("width", "0.75 d43" if width is None else width, sizes)
+    return _NAMED[kernel.lower()](length, dimension=dimension)
 
 
 # such as "0.75 d43", "2*d50", "d43"
 _MULTIPLE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?\s*\*?\s*([A-Za-z]\w*)\s*")
 
 
-def resolve_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
-    """Return a width in metres from a number, a multiple of a size such as "0.75 d43", or the default of 0.75 d43.
-
-    Raises
-    ------
-    ValueError
-        If it is not positive, or names a size that the scene does not hold.
-    """
-    if width is None:
-        width = "0.75 d43"
-    if isinstance(width, Mapping):
-        raise ValueError(f"width={dict(width)!r}: expected one width here, not one for each group")
-    return resolve_length("width", width, attrs, "the usual choice is 0.75 mean diameters")
-
-
-def resolve_length(name: str, length: float | str, attrs: Mapping[Any, Any], advice: str) -> float:
+def resolve_length(
+    name: str,
+    length: float | str,
+    attrs: Mapping[Any, Any],
+    advice: str = "the usual choice is 0.75 mean diameters",
+) -> float:
     """Return a length in metres from a number or a multiple of a size such as "0.75 d43".
 
     Parameters
