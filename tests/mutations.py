@@ -158,7 +158,7 @@ TABLE = [
         "test_the_backbone_is_left_after_removing_rattlers",
     ),
     Mutation(
-        "analysis/force_chains.py", "total(links[members] > 2)", "total(links[members] >= 2)",
+        "compiled/chains.py", "branches[k] += links[p] > 2", "branches[k] += links[p] >= 2",
         "test_a_branching_chain_is_one_chain",
     ),
     Mutation(

@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.analysis.chain_results import (
+    CHAINS,
     COPIED,
     RESULTS,
     require_chains,
@@ -25,7 +26,6 @@ from xcg.common.checks import FINITE, above, check, check_choice, whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import for_parts
-from xcg.compiled.matrices import principal
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import with_time
 from xcg.scene.lattice import Lattice
@@ -41,9 +41,8 @@ Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # `min_stress` by less than this share of it likewise: both are known to rounding only.
 _ANGLE = 1e-9
 _SHARE = 1e-12
-# A straight chain has no plane: its second extent is below this share of the first (variances, so
-# 1e-5 in length).
-_STRAIGHT = 1e-10
+# what a loop finds of each chain, in the order of its arguments
+_DESCRIBED = ("particles", "links", "branchings", "stress", "orientation", "normal")
 
 
 @takes_scene
@@ -287,9 +286,14 @@ class _ForceChains(FrameAnalysis):
         else:
             one_sided = bool(self.one_sided)
             count = loops.branching_chains(graph, seeds, one_sided, self.min_length, chains)
-        _drop_repeated(link, i, j)
-        links = np.bincount(np.concatenate([i[link >= 0], j[link >= 0]]), minlength=particles)
-        by_chain = _described(chains, count, major, links)
+        links = np.empty(particles, int)
+        loops.count_links(graph, link, links)
+        by_chain = {
+            name: np.full((count, 3)[: len(row.dims)], row.fill, row.dtype)
+            for name, row in CHAINS.items()
+        }
+        shapes = loops.Shapes(*(by_chain[f"chain_{name}"] for name in _DESCRIBED))
+        loops.describe_chains(chains, major, links, shapes)
         dropped = chain == loops.TOO_SHORT
         chain[dropped] = parent[dropped] = loops.UNSEEN
         return by_chain | {
@@ -301,43 +305,6 @@ class _ForceChains(FrameAnalysis):
             **{name: values for name, values in stress.items() if name in RESULTS},
             "major_direction": np.where(np.isnan(stress["major_direction"]), np.nan, onward),
         }
-
-
-def _drop_repeated(link: NDArray, i: NDArray, j: NDArray) -> None:
-    """Keep the first of several contacts of a pair as its link, in place."""
-    linked = np.flatnonzero(link >= 0)
-    low, high = np.sort([i[linked], j[linked]], axis=0)
-    pair = low * (high.max(initial=0) + 1) + high
-    _, first = np.unique(pair, return_index=True)
-    link[np.delete(linked, first)] = loops.UNSEEN
-
-
-def _described(chains: loops.Chains, count: int, stress: NDArray, links: NDArray) -> Frame:
-    """Return size, mean stress and shape of each chain, by the names in `CHAINS`."""
-    first = chains.first[:count]
-    particles = np.diff(chains.first[: count + 1])
-    chain = np.repeat(np.arange(count), particles)
-    members = chains.members[: len(chain)]
-    size = particles[chain]
-    total = partial(np.bincount, chain, minlength=count)
-    away = chains.unwrapped[members] - chains.unwrapped[chains.members[first]][chain]
-    centre = np.stack([total(along / size) for along in away.T], axis=1)
-    away -= centre[chain]
-    spread = np.stack([total(a * b) for a in away.T for b in away.T], axis=1).reshape(-1, 3, 3)
-    extent = np.empty((count, 3))
-    axes = np.empty((count, 3, 3))
-    principal(spread, extent, axes)
-    largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=2, keepdims=True), axis=2)
-    axes = np.where(largest < 0, -axes, axes)
-    straight = extent[:, 1] <= _STRAIGHT * extent[:, 0]
-    return {
-        "chain_particles": particles,
-        "chain_links": total(links[members]).astype(int) // 2,
-        "chain_branchings": total(links[members] > 2).astype(int),
-        "chain_stress": total(stress[members] / size),
-        "chain_orientation": axes[:, 0],
-        "chain_normal": np.where(straight[:, None], np.nan, axes[:, 2]),
-    }
 
 
 # --- from step to step ------------------------------------------------------------------------------------

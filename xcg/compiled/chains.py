@@ -1,4 +1,4 @@
-"""Force chains: links between particles, and depth-first search through them.
+"""Force chains: links between particles, depth-first search through them, and what a chain looks like.
 
 Particles are nodes of a graph in compressed rows: the contacts of particle p are
 ``contact[start[p]:start[p + 1]]``, in the order of the contacts. The searches keep their own stack,
@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from xcg.compiled._jit import jit
 from xcg.compiled.arrays import sort_by_key
 from xcg.compiled.contacts import AHEAD
-from xcg.compiled.matrices import dot
+from xcg.compiled.matrices import dot, principal
 from xcg.compiled.simd import prefetch
 
 UNSEEN = -1
 TOO_SHORT = -2
+# A straight chain has no plane: its second extent is below this share of the first (variances, so
+# 1e-5 in length).
+_STRAIGHT = 1e-10
 # A branch with a smaller cosine to the direction of travel lies at right angles to it, neither
 # ahead nor behind.
 _SIDEWAYS = 1e-9
@@ -285,3 +288,117 @@ def linear_chains(graph, seeds, min_length, chains):
         count, filled = _close(graph, chains, begin, filled, count, min_length)
     chains.first[count] = filled
     return count
+
+
+@jit
+def count_links(graph, link, links):
+    """Count the links of each particle; of several contacts with one partner only the first stays a link.
+
+    Parameters
+    ----------
+    graph : Graph
+        The contacts.
+    link : (m,)
+        Chain of each contact, UNSEEN for none; changed here.
+    links : (n,)
+        Set here.
+    """
+    counted_from = np.full(links.size, UNSEEN)
+    for p in range(links.size):
+        links[p] = 0
+        for e in range(graph.start[p], graph.start[p + 1]):
+            c = graph.contact[e]
+            if link[c] == UNSEEN:
+                continue
+            q, _ = _far_end(graph, c, p)
+            if counted_from[q] == p:
+                link[c] = UNSEEN
+                continue
+            counted_from[q] = p
+            links[p] += 1
+
+
+class Shapes(NamedTuple):
+    """Size, mean stress and shape of chains.
+
+    Attributes
+    ----------
+    lengths, edges, branches : (k,)
+        Particles, links, and particles with more than two links.
+    mean : (k,)
+        Mean stress.
+    orientation, normal : (k, 3)
+        Axes of the largest and smallest extent, the largest component positive; the normal of a
+        straight chain is NaN.
+    """
+
+    lengths: NDArray
+    edges: NDArray
+    branches: NDArray
+    mean: NDArray
+    orientation: NDArray
+    normal: NDArray
+
+
+@jit
+def describe_chains(chains, stress, links, shapes):
+    """Size, mean stress and shape of each chain.
+
+    Parameters
+    ----------
+    chains : Chains
+        As from a search.
+    stress : (n,)
+        What is averaged.
+    links : (n,)
+        Links of each particle.
+    shapes : Shapes
+        Set here.
+    """
+    unwrapped = chains.unwrapped
+    lengths, edges, branches, mean, orientation, normal = shapes
+    count = lengths.size
+    spread = np.zeros((count, 3, 3))
+    extent = np.empty((count, 3))
+    axes = np.empty((count, 3, 3))
+    centre = np.zeros(3)
+    for k in range(count):
+        particles = chains.members[chains.first[k] : chains.first[k + 1]]
+        size = particles.size
+        seed = particles[0]
+        lengths[k] = size
+        edges[k] = 0
+        branches[k] = 0
+        mean[k] = 0.0
+        centre[:] = 0.0
+        for p in particles:
+            edges[k] += links[p]
+            branches[k] += links[p] > 2
+            mean[k] += stress[p] / size
+            for a in range(3):
+                centre[a] += (unwrapped[p, a] - unwrapped[seed, a]) / size
+        edges[k] //= 2
+        for p in particles:
+            for a in range(3):
+                for b in range(3):
+                    away_a = unwrapped[p, a] - unwrapped[seed, a] - centre[a]
+                    away_b = unwrapped[p, b] - unwrapped[seed, b] - centre[b]
+                    spread[k, a, b] += away_a * away_b
+    principal(spread, extent, axes)
+    for k in range(count):
+        _fold(axes[k, 0], orientation[k])
+        _fold(axes[k, 2], normal[k])
+        if extent[k, 1] <= _STRAIGHT * extent[k, 0]:
+            normal[k] = math.nan
+
+
+@jit
+def _fold(axis, out):
+    """Copy an axis, turned so that its largest component is positive."""
+    largest = 0
+    for a in range(1, 3):
+        if abs(axis[a]) > abs(axis[largest]):
+            largest = a
+    sign = 1.0 if axis[largest] >= 0.0 else -1.0
+    for a in range(3):
+        out[a] = sign * axis[a]
