@@ -75,6 +75,19 @@ def test_radii_in_millimetres_at_positions_in_metres_warn(dimension):
 # --- mesh and grains -------------------------------------------------------------------------------------
 
 
+def test_grains_without_mass_are_named_as_the_cause_of_nan():
+    position, velocity = np.random.default_rng(0).uniform(0, 5, (2, 60, 3))
+    box = {"box": [[0, 5]] * 3, "periodic": "xyz"}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ds = xcg.scene_from_arrays(
+            position, velocity=velocity, diameter=0.5, mass=np.zeros(60), **box
+        )
+        ds.cg.coarse_grain(["granular_temperature", "velocity"], axes="z")
+    (text,) = [str(warning.message) for warning in caught]
+    assert "all 60 grains have the mass 0" in text
+
+
 @pytest.mark.parametrize("lazy", [False, True])
 def test_a_mesh_that_no_grain_reaches_warns(lazy):
     position = np.random.default_rng(0).uniform(0, 1, (4, 30, 3))

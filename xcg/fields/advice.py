@@ -434,8 +434,10 @@ class ComputedStep:
         return self._fluctuation / math.sqrt(pressure / (self.plan.options.dimension * parts.mass))
 
     def _unknown_temperatures(self, names: Sequence[str]) -> dict[str, str]:
-        """Return which temperatures are NaN at most nodes."""
-        effects = {}
+        """Return which temperatures are NaN at most nodes, unless grains have no mass."""
+        effects: dict[str, str] = {}
+        if "mass" in self.frame and not self.frame["mass"].any():
+            return effects
         for name in names:
             values = self.fields[name]
             count = np.count_nonzero(np.isfinite(values.reshape(len(values), -1)[:, 0]))

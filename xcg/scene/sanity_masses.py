@@ -51,6 +51,16 @@ def _contradiction(grains: Particles) -> str | None:
     )
 
 
+def _massless(grains: Particles) -> str | None:
+    """Check that some grains have a mass."""
+    if "mass" not in grains.sample or grains.frame["mass"].any() or not grains.count:
+        return None
+    return (
+        f"all {grains.count} grains have the mass 0, so that densities are 0, and velocities and temperatures NaN: "
+        "name the right column, or drop this one, names={'mass': None}, and give density="
+    )
+
+
 def _volumes_of_shapes(grains: Particles) -> str | None:
     """Check that volumes agree with ellipsoids or superquadrics of the half-axes."""
     sample = grains.sample
@@ -197,6 +207,7 @@ def _unused_size(grains: Particles) -> str | None:
 
 
 OF_MASSES = (
+    _massless,
     _contradiction,
     _volumes_of_shapes,
     _large_volumes,
