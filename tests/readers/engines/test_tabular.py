@@ -397,3 +397,17 @@ def test_units_in_the_metadata_of_parquet_are_read(tmp_path, key):
     assert ds.time.values.tolist() == [5e-3]
     given = xcg.open_scene(path, density=1.0, units={"length": 1.0, "time": 1.0})
     assert given.position[0, 0].values.tolist() == [1.0, 1.0, 1.0]
+
+
+def test_fields_of_structs_in_parquet_are_columns(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    places = np.random.default_rng(1).random((4, 3))
+    vectors = [dict(zip("xyz", row, strict=True)) for row in places.tolist()]
+    parts = {"id": np.arange(4), "velocity": vectors, "position": vectors, "radius": np.ones(4)}
+    table = pa.table({**parts, "extra.x": np.zeros(4)})
+    path = str(tmp_path / "grains.parquet")
+    pytest.importorskip("pyarrow.parquet").write_table(table, path, row_group_size=3)
+    ds = xcg.open_scene(path, density=1.0, names={"extra.x": "charge"})
+    np.testing.assert_array_equal(ds.position[0], places)
+    np.testing.assert_array_equal(ds.velocity[0], places)
+    np.testing.assert_array_equal(ds.charge[0], 0.0)

@@ -711,10 +711,12 @@ def _columns_of_parquet(file: Any) -> dict[str, str]:
     """Return the file's name of each column, by its name with the unit that its metadata hold, ``x [mm]``."""
     columns = {}
     for field in file.schema_arrow:
-        metadata = field.metadata or {}
-        unit = metadata.get(b"units", metadata.get(b"unit", b"")).decode()
-        is_known = parse_unit(unit) is not None and unit_of(field.name) is None
-        columns[f"{field.name} [{unit}]" if is_known else field.name] = field.name
+        for part in field.flatten():  # of position {x, y, z}: position.x, ...
+            name = part.name if part.name == field.name else part.name.replace(".", "_")
+            metadata = part.metadata or {}
+            unit = metadata.get(b"units", metadata.get(b"unit", b"")).decode()
+            is_known = parse_unit(unit) is not None and unit_of(name) is None
+            columns[f"{name} [{unit}]" if is_known else name] = part.name
     return columns
 
 
@@ -726,7 +728,7 @@ def scan_parquet(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str
         wanted = sorted(set(clock_of(names).values()))
         rows = file.metadata.num_rows
         columns = [in_file[name] for name in wanted]
-        table = file.read(columns=columns).select(columns).rename_columns(wanted)
+        table = file.read(columns=columns).flatten().select(columns).rename_columns(wanted)
         if wanted and table.num_rows != rows:
             raise SceneError(
                 f"{path}: {table.num_rows} rows, but its metadata promise {rows}; the file is damaged"
@@ -745,7 +747,7 @@ def read_parquet(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> d
         groups = np.flatnonzero((edges[:-1] < stop) & (edges[1:] > first)).tolist()
         in_file = _columns_of_parquet(file)
         columns = [in_file[name] for name in wanted]
-        table = file.read_row_groups(groups, columns=columns).select(columns)
+        table = file.read_row_groups(groups, columns=columns).flatten().select(columns)
         table = table.rename_columns(list(wanted))
         at = first - int(edges[groups[0]]) if groups else 0
         table = table.slice(at, ref.rows)
