@@ -18,7 +18,19 @@ from xcg.fields.grids.grid import check_axes
 from xcg.fields.request import Per, Request
 from xcg.fields.sums.moments import Moment
 from xcg.scene.scene import Scene
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES
+from xcg.scene.schema import CONTACT_VARIABLES
+
+# arguments of a call that are options of the algebra
+_AS_REQUESTED = (
+    "gradient",
+    "pressure_dims",
+    "shear_dims",
+    "deviatoric",
+    "size",
+    "fluid_viscosity",
+    "friction",
+    "by",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,20 +138,18 @@ def _named(
             f"fields={fields!r}: expected at least one; leave it out for all that the scene allows"
         )
     names = requested.copy()
-    of_registry: list[Field | None] = []
-    for name in requested:
-        # an underscore begins the names of steps of the algebra
-        is_field = isinstance(name, str) and not name.startswith("_")
-        of_registry.append(registry.FIELDS.get(name) if is_field else None)
     own: dict[int, OwnField | registry.NamedField] = {}
-    if None in of_registry:
+    if not all(isinstance(name, str) and name in registry.FIELDS for name in requested):
         own = own_fields(requested, scene)
-    for k, (name, field) in enumerate(zip(requested, of_registry, strict=True)):
+    for k, name in enumerate(requested):
         if k in own:
             names[k] = own[k].name
-        elif field is None:
+            continue
+        # an underscore begins the names of parts of others
+        if not isinstance(name, str) or name.startswith("_") or name not in registry.FIELDS:
             raise ValueError(_unknown_field(name, scene))
-        elif field.option and getattr(options, field.option) is None:
+        field = registry.FIELDS[name]
+        if field.option and getattr(options, field.option) is None:
             raise ValueError(_lacks_option(name, field))
     return tuple(dict.fromkeys(names)), tuple(dict.fromkeys(own.values()))
 
@@ -263,17 +273,10 @@ def requested_options(scene: Scene, request: Request) -> Options:
     if request.by is not None and temperature == "unbiased":
         temperature = "mixture"
     return Options(
-        plane=tuple(COMPONENTS.index(a) for a in setup.plane),
-        gradient=request.gradient,
-        pressure_dims=request.pressure_dims,
-        shear_dims=request.shear_dims,
-        deviatoric=request.deviatoric,
-        size=size,
+        **{name: getattr(request, name) for name in _AS_REQUESTED},
+        plane=tuple(setup.axes),
         diameter=scene.sizes.get(size),
-        fluid_viscosity=request.fluid_viscosity,
-        friction=request.friction,
         temperature=temperature,
         lag=scene.lag,
-        by=request.by,
         averaged_gradient=derivatives,
     )

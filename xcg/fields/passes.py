@@ -24,7 +24,7 @@ from xcg.fields.sums.moments import (
 )
 from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, lists_of, triple
 from xcg.scene.contacts import Contacts
-from xcg.scene.frame import phase_of, without_frozen
+from xcg.scene.frame import entries_of, phase_of, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
 
@@ -140,16 +140,14 @@ class StepArrays:
     frame : Frame
         Variables of the step, without frozen grains.
     plan : Plan
-    position, velocity, mass, phase : array (n, 3), (n, 3), (n,), (n,)
+    position, velocity, phase : array (n, 3), (n, 3), (n,)
     contacts : Contacts, optional
     lattice : Lattice
         Periodic images, as seen along the axes of the nodes.
     origin : tuple of float
         The place that loops take others relative to (m).
-    cutoffs : list of float
-        Radii of supports, each once, rising (m).
     smoothings : dict
-        The kernel by cutoff, times `scale`, which divides by the extent of averaged axes.
+        The kernel by cutoff (m), which rises, times `scale`, which divides by the extent of averaged axes.
     grains : Images
     flow : tuple of array (m, 3) and (m,)
         Velocity and mass of these.
@@ -166,38 +164,41 @@ class StepArrays:
         self.frame = without_frozen(frame)
         if not len(self.frame["position"]):
             # nor contacts of theirs
-            frame = self.frame = {name: values[:0] for name, values in self.frame.items()}
+            frame = self.frame = entries_of(self.frame, slice(0))
         self.plan = plan
         self.source = source
-        self.position = np.ascontiguousarray(self.frame["position"])
-        self.count = len(self.position)
+        self.position = self.frame["position"]
         self.phase = phase_of(self.frame, plan.by, plan.groups, source)
         self.contacts = cast(Contacts, None)  # no moment takes them
         if "contact_i" in self.frame:
             self._take_contacts(frame, lattice)
-        at_rest = np.broadcast_to(0.0, (self.count, 3))
-        self.velocity = np.ascontiguousarray(self.frame.get("velocity", at_rest))
-        self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
-        nodes = plan.nodes
-        self.origin = triple(nodes.origin)
-        self.cutoffs = sorted({*plan.cutoffs})
-        self.lattice = lattice.seen(nodes.active, source)
-        paired = any(name.startswith("square") for name in plan.moments)
-        self.smoothings: dict[float, Smoothing] = {}
-        for cutoff in self.cutoffs:
-            norm = plan.weights.norm * (plan.cutoffs[0] / cutoff) ** len(nodes.active_axes)
-            weights = plan.weights._replace(norm=norm * scale)
-            smoothing = Smoothing(nodes, self.lattice.period, cutoff, weights)
-            smoothing.check_reach(DIAMETER, source, paired=paired)
-            self.smoothings[cutoff] = smoothing
+        self.origin = triple(plan.nodes.origin)
+        self.lattice = lattice.seen(plan.nodes.active, source)
+        self.smoothings = self._smoothings(scale)
+        self.velocity = self.frame.get("velocity", np.zeros_like(self.position))
         self.of_grains = self.frame
         if lattice.rates is not None:
             self._take_off_shear(lattice)
         self.grains = self.images(self.position)
-        velocity = self.velocity[self.grains.row]
+        row = self.grains.row
+        velocity = self.velocity[row]
         if self.grains.drift is not None:
             velocity = velocity + self.grains.drift
-        self.flow = (velocity, self.mass[self.grains.row])
+        mass = self.frame.get("mass", np.ones(len(self.position)))
+        self.flow = (np.ascontiguousarray(velocity), np.ascontiguousarray(mass[row]))
+
+    def _smoothings(self, scale: float) -> dict[float, Smoothing]:
+        """Return the kernel of each cutoff, whose weights are multiplied by `scale`; cutoffs rise."""
+        plan = self.plan
+        is_paired = any(name.startswith("square") for name in plan.moments)
+        smoothings = {}
+        for cutoff in sorted({*plan.cutoffs}):
+            share = (plan.cutoffs[0] / cutoff) ** len(plan.nodes.active_axes)
+            weights = plan.weights._replace(norm=plan.weights.norm * share * scale)
+            smoothing = Smoothing(plan.nodes, self.lattice.period, cutoff, weights)
+            smoothing.check_reach(DIAMETER, self.source, paired=is_paired)
+            smoothings[cutoff] = smoothing
+        return smoothings
 
     def _take_contacts(self, frame: Frame, lattice: Lattice) -> None:
         """Find the contacts of the step, and the velocities of walls that are frozen grains of its `frame`."""
@@ -223,14 +224,14 @@ class StepArrays:
             text = _HIDDEN_SHEAR.format(names=", ".join(names))
             warn_once("hidden shear", f"{self.source}: {text}")
         self.velocity = self.velocity - (self.position - lattice.middle) @ gradient.T
-        of_box = np.broadcast_to(gradient, (self.count, 3, 3))
+        of_box = np.broadcast_to(gradient, (len(self.position), 3, 3))
         self.of_grains = {**self.frame, "velocity": self.velocity, "box_gradient": of_box}
 
     def images(self, position: NDArray) -> Images:
         """Return the positions of rows, with all images near the mesh where a box is tilted."""
         if self.lattice.vectors is None:
             return Images(position, self.in_space(position), slice(None))
-        row, shift, drift = self.near_mesh(position, self.cutoffs[-1])
+        row, shift, drift = self.near_mesh(position, max(self.smoothings))
         position = position[row] + shift
         images = Images(position, self.in_space(position), row)
         if drift.any():
@@ -292,11 +293,10 @@ class StepArrays:
         lower = [float(np.min(x)) for x in position.T]
         upper = [float(np.max(x)) for x in position.T]
         farthest = np.abs(np.array([lower, upper]) - self.origin).max(axis=0)
-        for cutoff in {self.cutoffs[0], self.cutoffs[-1]}:
-            self.smoothings[cutoff].check_far(farthest / cutoff + 2.0, self.source)
-        return spatial_order(
-            position, self.cutoffs[0], lower, upper, self.plan.nodes.active.tolist()
-        )
+        for cutoff, smoothing in self.smoothings.items():
+            smoothing.check_far(farthest / cutoff + 2.0, self.source)
+        smallest = min(self.smoothings)
+        return spatial_order(position, smallest, lower, upper, self.plan.nodes.active.tolist())
 
 
 def alike(drifts: NDArray) -> Iterator[tuple[NDArray, NDArray]]:

@@ -96,7 +96,7 @@ def along_branches(arrays: StepArrays, moments: Mapping[str, Moment]) -> list[Pa
         columns: dict[str, Columns] = {name: (moment.columns, 1.0)}
         run = Pass(arrays.plan.group_count * max(others, 1), 9, columns)
         carried = _carried(arrays, moment, arrays.frame)
-        for cutoff in arrays.cutoffs:
+        for cutoff in arrays.smoothings:
             run.fills.extend(_fills(arrays, moment, carried, contacts, others, cutoff))
         passes.append(run)
     return passes

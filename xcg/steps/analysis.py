@@ -239,8 +239,8 @@ def _variables_of_task(ds: xr.Dataset, required: Sequence[str]) -> dict[str, str
         ids.append("contact_i")
     row_dims: dict[str, str] = {}
     for name in (*ids, *required, *(name for name in OF_STEP if name in ds)):
-        dims = [str(dim) for dim in ds.variables[name].dims if dim not in ("time", *AXES)]
-        row_dims[name] = "".join(dims[:1])
+        dims = ds.variables[name].dims
+        row_dims[name] = next((str(dim) for dim in dims if dim not in ("time", *AXES)), "")
     return row_dims
 
 

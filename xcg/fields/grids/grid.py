@@ -58,12 +58,6 @@ def check_places(
         )
 
 
-def coords_of(nodes: Mapping[str, NDArray], fixed: Mapping[str, float]) -> dict[str, xr.Variable]:
-    """Return coordinates of results, of resolved and of fixed axes."""
-    coords = {a: xr.Variable(a, x) for a, x in nodes.items()}
-    return coords | {a: xr.Variable((), x) for a, x in fixed.items()}
-
-
 class MeshTooLargeError(ValueError):
     """A mesh has more nodes than loops count, or than there is memory for."""
 
@@ -161,27 +155,25 @@ def make_grid(
         raise ValueError(f"axes={axes!r}: expected any of {plane!r}, such as {plane[-1]!r}")
     check_places(axes, at, bounds, plane)
     axes = "".join(sorted(axes))
-    spacings: Mapping[str, Any] = dict.fromkeys(axes, spacing)
-    if isinstance(spacing, Mapping):
-        spacings = spacing
-    nodes: dict[str, NDArray] = {}
+    coords: dict[str, xr.Variable] = {}
     distances: dict[str, float] = {}
     for a in axes:
-        nodes[a], distances[a] = nodes_along(
-            a, spacings.get(a), axes, bounds, automatic, period, cutoff, cells
+        distance = spacing.get(a) if isinstance(spacing, Mapping) else spacing
+        nodes, distances[a] = nodes_along(
+            a, distance, axes, bounds, automatic, period, cutoff, cells
         )
-    sizes = tuple(map(len, nodes.values()))
-    if math.prod(map(float, sizes)) > MAX_NODES:
-        shape = tuple(len(nodes.get(a, "1")) for a in COMPONENTS)
+        coords[a] = xr.Variable(a, nodes)
+    sizes = tuple(coord.size for coord in coords.values())
+    if math.prod(sizes) > MAX_NODES:
+        shape = tuple(coords[a].size if a in coords else 1 for a in COMPONENTS)
         raise MeshTooLargeError(
             f"the mesh would have {shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
         )
-    coords = coords_of(nodes, {a: float(v) for a, v in at.items()})
-    first = np.zeros(3)
-    last = np.zeros(3)
+    coords |= {a: xr.Variable((), float(x)) for a, x in at.items()}
+    ends = np.zeros((2, 3))  # first and last node
     for k, a in enumerate(COMPONENTS):
         if a in coords:
-            first[k], last[k] = np.ravel(coords[a])[[0, -1]]
+            ends[:, k] = np.ravel(coords[a])[[0, -1]]
     half = np.array([0.5 * distances.get(a, 0.0) * cells for a in COMPONENTS])
     return Nodes(
         dims=tuple(axes),
@@ -189,9 +181,9 @@ def make_grid(
         coords=coords,
         active_axes="".join(a for a in COMPONENTS if a in coords),
         averaged="".join(a for a in plane if a not in coords),
-        origin=first,
-        lower=first - half,
-        upper=last + half,
+        origin=ends[0],
+        lower=ends[0] - half,
+        upper=ends[1] + half,
         spacing=distances,
         fitted="".join(a for a in axes if a not in bounds and a not in period),
     )
@@ -218,15 +210,15 @@ def check_mesh(
     axes = [k for k, a in enumerate(COMPONENTS) if a in nodes.active_axes and open_axes[k]]
     if not len(position) or not axes or not nodes.count:
         return
-    first = nodes.lower
-    last = nodes.upper
-    x = position
-    reaches = [(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes]
+    low, high = nodes.around(cutoff)
+    reaches = [(position[:, k] > low[k]) & (position[:, k] < high[k]) for k in axes]
     if not np.all(reaches, axis=0).any():
-        _warn_of_reach(x, nodes, axes, cutoff, source)
+        _warn_of_reach(position, nodes, axes, cutoff, source)
         return
-    for k in [k for k in axes if COMPONENTS[k] in nodes.fitted]:
-        warn_beyond(COMPONENTS[k], position[:, k], first[k], last[k], source, room=0.5 * cutoff)
+    for k, a in enumerate(COMPONENTS):
+        if k in axes and a in nodes.fitted:
+            ends = nodes.lower[k], nodes.upper[k]
+            warn_beyond(a, position[:, k], *ends, source, room=0.5 * cutoff)
 
 
 def _warn_of_reach(

@@ -9,6 +9,7 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import THREADS
@@ -18,7 +19,6 @@ from xcg.fields.grids.grid import (
     Bounds,
     check_axes,
     check_places,
-    coords_of,
     nodes_along,
 )
 from xcg.fields.grids.points import PointBlock
@@ -150,7 +150,8 @@ def make_rings(
     parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, count))
     # on the axis r and theta have no direction
     on_axis = np.flatnonzero(np.repeat(radii == 0.0, len(rules[0]) * len(heights)))
-    coords = coords_of(nodes, fixed)
+    coords = {a: xr.Variable(a, x) for a, x in nodes.items()}
+    coords |= {a: xr.Variable((), x) for a, x in fixed.items()}
     seen = "".join(a for a in "xyz" if a in {"x", "y", *coords})
     return Nodes(
         tuple(nodes),

@@ -110,13 +110,11 @@ class MeshBlock:
 
     def nodes(self, smoothing: Smoothing) -> BlockNodes:
         """Return the nodes as loops take them, in cutoffs from the first node of the mesh on."""
-        spacings = smoothing.spacings.tolist()
-        begin = [low * spacing for low, spacing in zip(self.low, spacings, strict=True)]
-        end = [(high - 1) * spacing for high, spacing in zip(self.high, spacings, strict=True)]
-        rows = Rows(
-            self.low, self.high, triple(spacings), triple([1.0 / spacing for spacing in spacings])
-        )
-        return BlockNodes(triple(begin), triple(end), *smoothing.surroundings, rows=rows)
+        spacings = smoothing.spacings
+        begin = triple(np.array(self.low) * spacings)
+        end = triple((np.array(self.high) - 1) * spacings)
+        rows = Rows(self.low, self.high, triple(spacings), triple(1.0 / spacings))
+        return BlockNodes(begin, end, *smoothing.surroundings, rows=rows)
 
 
 def lists_of(nodes: BlockNodes, reach: Sequence[float], real: str = "float64") -> Lists:
