@@ -455,24 +455,14 @@ def _over_points(
 
     `flow` are velocities and masses, or numbers and weights in their places. `constants` are
     columns, or moments whose columns are made here; the list is emptied, as memory holds one of them
-    beside what is written. With `others`, `phase` is the number of a pair of
-    phases, the first times `others` plus the second.
+    beside what is written. With `others`, `phase` is the number of a pair of phases, the first
+    times `others` plus the second.
     """
     plan = arrays.plan
     position = images.position
     count = len(position)
-    constants = constants or []
-    width = sum(c.width if isinstance(c, Moment) else c.shape[1] for c in constants)
-    written = np.zeros((count, width + -width % 4))  # the loop adds four columns at a time
+    written = _side_by_side(arrays, images, constants or [])
     run = Pass(plan.group_count * others, level + written.shape[1], table, level)
-    first = 0
-    while constants:
-        columns = constants.pop(0)
-        if isinstance(columns, Moment):
-            columns = arrays.column(columns, images)
-        written[:, first : first + columns.shape[1]] = columns
-        first += columns.shape[1]
-        del columns  # before the next are made
     velocity, mass = flow or (np.zeros((count, 3)), np.zeros(count))
     of_squares = [column for column in loops.SQUARES if column < level]
     has_squares = any(np.isin(columns, of_squares).any() for columns, _ in table.values())
@@ -495,6 +485,21 @@ def _over_points(
         flags = level, translations, by_gradient
         run.fills.append(partial(_fill, points, smoothing, flags))
     return run
+
+
+def _side_by_side(arrays: StepArrays, images: Images, constants: list[Moment | NDArray]) -> NDArray:
+    """Write columns of constants side by side, filled up to four, as the loop adds so many at a time."""
+    width = sum(c.width if isinstance(c, Moment) else c.shape[1] for c in constants)
+    written = np.zeros((len(images.position), width + -width % 4))
+    first = 0
+    while constants:
+        columns = constants.pop(0)
+        if isinstance(columns, Moment):
+            columns = arrays.column(columns, images)
+        written[:, first : first + columns.shape[1]] = columns
+        first += columns.shape[1]
+        del columns  # before the next are made
+    return written
 
 
 def _add_squared(

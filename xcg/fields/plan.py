@@ -251,13 +251,13 @@ class Plan:
         beside = [name for name in self.fields if name not in self.requested]
         if beside:
             lines["averages"] = f"{', '.join(beside)} (as coordinates, for averages)"
-        seen = self.effective_count
-        if seen is not None:
-            velocity = min(1.0, math.sqrt(1 / seen))
-            temperature = min(1.0, math.sqrt(2 / self.setup.dimension / seen))
+        grains = self.effective_count
+        if grains is not None:
+            velocity = min(1.0, math.sqrt(1 / grains))
+            temperature = min(1.0, math.sqrt(2 / self.setup.dimension / grains))
             lines["noise"] = (
                 f"velocity +-{velocity:.2g} sqrt(T), temperature +-{100 * temperature:.0f} % in one frame, from "
-                f"{seen:.3g} particles (N_eff) at a node with a volume fraction of {DENSE}"
+                f"{grains:.3g} particles (N_eff) at a node with a volume fraction of {DENSE}"
             )
         if self.floors is not None:
             lines["floors"] = self.floors
@@ -298,12 +298,11 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     widest = max(kernels, key=lambda k: k.cutoff)
     narrowest = min(k.width for k in kernels)
     nodes = nodes_of(scene, request, kernels)
-    seen = len(nodes.active_axes)
     if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & moments.keys():
         check_differentiable(widest)
     limits = np.zeros(0)
     if rtol and any(moment.over == "branches" for moment in moments.values()):
-        limits = gauss_limits(widest, seen, rtol)
+        limits = gauss_limits(widest, len(nodes.active_axes), rtol)
     groups: tuple[int, ...] = ()
     if by is not None or request.groups is not None:
         groups = scene.groups(by, request.groups)

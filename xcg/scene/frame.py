@@ -144,7 +144,8 @@ def frame_of(
     """Return a frame of padded arrays: the rows of step `t` without padding, particles by id.
 
     `dims` holds the dimension of the rows of each variable, by default that of its name; arrays
-    along other dimensions than particles and contacts are whole.
+    along other dimensions than particles and contacts are whole. Numbers of the steps themselves,
+    such as times, have none ("").
 
     Raises
     ------
@@ -161,11 +162,11 @@ def frame_of(
     frame: Frame = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
-        dim = row.dims[0] if dims is None else dims[name]
+        dim = "".join(row.dims[:1]) if dims is None else dims[name]
         # as loops are compiled for: files may hold bytes or axes the other way round
         if dim in kept:
             frame[name] = values[t][kept[dim]].astype(row.dtype, order="C", copy=False)
-        elif dims is not None:
+        elif dims is not None or not dim:
             frame[name] = values[t]
     for name in frame:
         if name in VARIABLES:
@@ -226,17 +227,12 @@ def without_frozen(frame: Frame) -> Frame:
 def steps_in(
     arrays: Mapping[str, NDArray], periodic: str, dims: Mapping[str, str] | None = None
 ) -> Iterator[tuple[Frame, Lattice, str]]:
-    """Yield frame, periodic images and name of each step of padded arrays; `dims` as in `frame_of`.
-
-    Numbers of the steps themselves, such as times, are in the frames, too.
-    """
-    of_steps = [name for name, a in arrays.items() if a.ndim == 1 and name not in OF_STEP]
-    of_rows = {name: a for name, a in arrays.items() if name not in (*OF_STEP, *of_steps)}
+    """Yield frame, periodic images and name of each step of padded arrays; `dims` as in `frame_of`."""
+    of_frames = {name: a for name, a in arrays.items() if name not in OF_STEP}
     for t in range(len(next(iter(arrays.values())))):
         source = f"frame {t} of its chunk"
         if "step" in arrays:
             source = f"step {arrays['step'][t]}"
         box = {name: arrays[name][t] for name in BOX if name in arrays}
-        frame = frame_of(of_rows, t, source, dims)
-        frame.update({name: arrays[name][t] for name in of_steps})
+        frame = frame_of(of_frames, t, source, dims)
         yield frame, Lattice.of(box, periodic, source), source
