@@ -179,10 +179,11 @@ def _with_unlike_facts(ds: xr.Dataset, values: Iterable[Any]) -> xr.Dataset:
     parts = {}
     for value in values:
         if isinstance(value, str) and _CODE.fullmatch(value):
-            parts[value] = ds.variables[SETUP].attrs
+            _, parts[value] = _coded(ds.variables[SETUP].attrs)
             continue
-        code, parts[code] = _coded(_json_object(value))
-        ds = ds.assign_coords({SETUP: setup_of(parts[code])})
+        code, facts = _coded(_json_object(value))
+        parts[code] = facts
+        ds = ds.assign_coords({SETUP: setup_of(facts)})
     if len(parts) > 1:
         raise SceneError(
             f"parts that differ were joined: {_differences(list(parts))}. Fields and averages need parts of one kind: "
@@ -196,7 +197,7 @@ def _with_unlike_facts(ds: xr.Dataset, values: Iterable[Any]) -> xr.Dataset:
 
 
 def _coded(attrs: Mapping[Any, Any]) -> tuple[str, dict[str, Any]]:
-    """Return the attributes that numbers depend on, after eight hexadecimal digits for them.
+    """Return eight hexadecimal digits for the attributes that numbers depend on, and these, and remember both.
 
     The digits are the same when a file holds the attributes: files store whole numbers as floats,
     and lists of one number as the number.
