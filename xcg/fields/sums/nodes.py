@@ -291,16 +291,13 @@ class Smoothing:
         self.upper = (nodes.upper - nodes.origin) / cutoff
         self.period = np.where(nodes.active, period, np.inf) / cutoff
         self.surroundings = triple(nodes.active), triple(self.period)
-        numbers = np.column_stack([self.upper - self.lower, self.spacings, self.period]).tolist()
-        # extent, spacing and period
-        self._along_active = [(k, numbers[k]) for k in range(3) if nodes.active[k]]
 
-    def check_far(self, farthest: Sequence[float] | NDArray, source: str) -> None:
+    def check_far(self, farthest: NDArray, source: str) -> None:
         """Raise SceneError for places (3,) not finite or too far away to be numbered; damaged files hold them.
 
         Here and below, `source` names the step in messages.
         """
-        for k, _ in self._along_active:
+        for k in np.flatnonzero(self.nodes.active):
             if not farthest[k] < _FAR:
                 raise SceneError(
                     f"{source}: a particle or contact reaches {farthest[k] * self.cutoff:.3g} m from the mesh "
@@ -316,19 +313,20 @@ class Smoothing:
         most = _MOST_IMAGES
         if paired:
             most = _MOST_PAIRED
-        images = [1.0, 1.0, 1.0]
-        over_mesh = [1.0, 1.0, 1.0]
-        for k, (extent, spacing, period) in self._along_active:
-            if not (extent < _FAR and (reach[k] + extent) / spacing < _FAR):
-                raise SceneError(
-                    f"{source}: along '{COMPONENTS[k]}' the mesh is {extent * self.cutoff:.3g} m long "
-                    f"with nodes {spacing * self.cutoff:.3g} m apart, and the radius of the support is "
-                    f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
-                )
-            images[k] = float(reach[k]) / period + 1.0
-            over_mesh[k] = (float(reach[k]) + extent) / period + 1.0
-        of_node = math.prod(images)
-        all_nodes = math.prod(over_mesh)
+        active = self.nodes.active
+        extent = np.where(active, self.upper - self.lower, 0.0)
+        reach = np.where(active, reach, 0.0)
+        countable = (extent < _FAR) & ((reach + extent) / self.spacings < _FAR)
+        if not countable.all():
+            k = int(countable.argmin())
+            raise SceneError(
+                f"{source}: along '{COMPONENTS[k]}' the mesh is {extent[k] * self.cutoff:.3g} m long "
+                f"with nodes {self.spacings[k] * self.cutoff:.3g} m apart, and the radius of the support is "
+                f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
+            )
+        over_mesh = (reach + extent) / self.period + 1.0
+        of_node = math.prod((reach / self.period + 1.0).tolist())
+        all_nodes = math.prod(over_mesh.tolist())
         if not (of_node <= most and all_nodes <= _MOST_OVER_MESH + self.nodes.count * of_node):
             k = int(np.argmax(over_mesh))
             raise SceneError(
@@ -340,11 +338,11 @@ class Smoothing:
 
     def fits_single(self, longest: float) -> bool:
         """Return whether single precision is enough to number the nodes that a branch of this length reaches."""
-        return all((longest + 2.0) / spacing < _SINGLE for _, (_, spacing, _) in self._along_active)
+        return bool(((longest + 2.0) / self.spacings[self.nodes.active] < _SINGLE).all())
 
     def too_long(self, longest: NDArray) -> bool:
         """Return whether branches with these largest components (3,) must be cut."""
-        return any(longest[k] > _LONG for k, _ in self._along_active)
+        return bool((longest[self.nodes.active] > _LONG).any())
 
     def cut(self, segments: NDArray, ends: NDArray, source: str) -> NDArray:
         """Cut long branches where nothing beyond reaches the mesh; branches that never come near it are left out.
