@@ -56,14 +56,11 @@ def label(
     """
     system = ds.attrs.get("unit_system", "SI")
     data = {}
-    for name, array in arrays.items():
-        if name == SKIPPED:
-            continue
-        row = variables[name]
+    for name, row in variables.items():
         about = {"units": units_in(row.units, system), "long_name": row.long_name}
         if row.formula:
             about["formula"] = row.formula
-        data[name] = xr.Variable(("time", *row.dims), array, about)
+        data[name] = xr.Variable(("time", *row.dims), arrays[name], about)
     labels: dict[str, Any] = {}
     for name in ("time", "step"):
         if name in ds.coords:
