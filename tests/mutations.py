@@ -264,6 +264,10 @@ TABLE = [
         "test_an_average_across_the_shear_is_that_in_the_middle_of_the_box",
     ),
     Mutation(
+        "fields/evaluate.py", "float(factor[group])", "float(factor[0])",
+        "test_a_program_gives_what_the_registry_gives",
+    ),
+    Mutation(
         "fields/passes.py", "phase[row[at]] * others + phase[partner[at]]",
         "phase[partner[at]] * others + phase[row[at]]", "test_exchange_between_phases_equals_brute_force",
     ),
