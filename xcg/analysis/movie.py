@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -98,12 +98,9 @@ def movie(
             "movie needs a result with the dimension 'time'; draw a single step with plot"
         )
     require_steps(f, "movie")
-    animation = extra("matplotlib.animation", "plot", "a movie")
-    program = "pillow"
-    settings = {}
+    program = ""
     if path.suffix == ".mp4":
-        program = "ffmpeg"
-        settings["animation.ffmpeg_path"] = _ffmpeg(path)
+        program = _ffmpeg(path)
     choice = Shown(field, component, direction, phase, at, arrows, shading)
     part = choice.part(f)
     count = part.sizes["time"]
@@ -119,20 +116,31 @@ def movie(
         size = drawing.size_of_figure(FRAME, frames.ratio)
     film = Film(size, dpi)
     part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
+
+    def drawn() -> Iterator[None]:
+        with shown(count, progress, what="frames drawn") as bar:
+            for picture in frames.pictures:
+                film.clear()
+                frames.draw(picture, film.axes)
+                drawing.set_title(film.axes, title_of(picture))
+                film.draw()
+                yield
+                bar.update()
+
     try:
-        with (
-            shown(count, progress, what="frames drawn") as bar,
-            matplotlib.rc_context(settings),
-        ):
-            writer = animation.writers[program](fps=fps)
-            with writer.saving(film, part_of_file, dpi):
-                for picture in frames.pictures:
-                    film.clear()
-                    frames.draw(picture, film.axes)
-                    drawing.set_title(film.axes, title_of(picture))
-                    film.draw()
-                    writer.grab_frame()
-                    bar.update()
+        if path.suffix == ".gif":
+            images = [film.image(frames.keywords.get("cmap")) for _ in drawn()]
+            later = images[1:]
+            images[0].save(
+                part_of_file, save_all=True, append_images=later, duration=int(1000 / fps), loop=0
+            )
+        else:
+            animation = extra("matplotlib.animation", "plot", "a movie")
+            with matplotlib.rc_context({"animation.ffmpeg_path": program}):
+                writer = animation.writers["ffmpeg"](fps=fps)
+                with writer.saving(film, part_of_file, dpi):
+                    for _ in drawn():
+                        writer.grab_frame()
         part_of_file.replace(path)
     finally:
         part_of_file.unlink(missing_ok=True)
