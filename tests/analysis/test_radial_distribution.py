@@ -84,7 +84,7 @@ def test_pairs_are_those_of_brute_force(case):
 def test_the_ideal_gas_is_one_within_its_standard_error(case):
     """Also at the sides of a region, where shells are cut, for phases, and for distances over diameters."""
     periodic, dimension, bounds, options = CASES[case]
-    steps = 150
+    steps = 75
     ds = gas(steps, 200, periodic, dimension, **options)
     for more in (
         {"axis": "z"},
