@@ -866,7 +866,7 @@ TABLE = [
     ),
     Mutation(
         "analysis/fit_law.py", "absolute_sigma=self.are_weighted", "absolute_sigma=False",
-        "test_parameters_are_within_two_errors_in_95_of_100_draws",
+        "test_errors_of_parameters_are_in_proportion_to_those_of_the_points",
     ),
     Mutation(
         "analysis/fit_law.py", "(2 * change[k])", "change[k]",

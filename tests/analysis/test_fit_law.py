@@ -82,8 +82,10 @@ def test_exact_points_give_the_parameters_back(law):
     assert np.isnan(fit.chi_squared)
 
 
+# laws with and without constants or a first point; the errors of all are made in one way
 @pytest.mark.parametrize(
-    ("law", "weighted"), [*((law, True) for law in CASES), ("mu_of_I", False), ("haff", False)]
+    ("law", "weighted"),
+    [("mu_of_I", True), ("bagnold", True), ("beverloo", True), ("mu_of_I", False), ("haff", False)],
 )
 def test_parameters_are_within_two_errors_in_95_of_100_draws(law, weighted):
     """Without errors of the points, estimates over their errors have Student's distribution."""
@@ -108,6 +110,20 @@ def test_parameters_are_within_two_errors_in_95_of_100_draws(law, weighted):
     assert (np.abs(inside / draws - share) < 3 * noise_of_share).all(), inside / draws
     if weighted:
         assert np.mean(chi_squared) == pytest.approx(freedom, abs=3 * np.sqrt(2 * freedom / draws))
+
+
+def test_errors_of_parameters_are_in_proportion_to_those_of_the_points():
+    x, y = _exact("mu_of_I")
+    measured = y + 0.01 * np.random.default_rng(7).normal(size=len(x))
+    fits = []
+    for sigma in (0.01, 0.02):
+        errors = {"friction_coefficient": np.full(len(x), sigma)}
+        fits.append(xcg.fit_law(_result("mu_of_I", x, measured, **errors), "mu_of_I"))
+    for name in CASES["mu_of_I"][1]:
+        assert float(fits[1][name]) == pytest.approx(float(fits[0][name]), rel=1e-4)
+        assert float(fits[1][f"{name}_error"]) == pytest.approx(
+            2 * float(fits[0][f"{name}_error"]), rel=1e-3
+        )
 
 
 @pytest.mark.parametrize("points", [4, 5])
