@@ -145,7 +145,8 @@ def test_volumes_smaller_than_spheres_are_other_shapes(tmp_path):
 
 
 def test_grains_without_mass_open_without_a_warning_of_numpy(tmp_path):
-    ds = open_csv(tmp_path, {"radius": DIAMETER / 2, "mass": np.zeros(COUNT)})
+    with pytest.warns(xcg.SceneWarning, match="have the mass 0"):
+        ds = open_csv(tmp_path, {"radius": DIAMETER / 2, "mass": np.zeros(COUNT)})
     assert not ds.mass.any()
 
 
