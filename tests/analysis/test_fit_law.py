@@ -113,13 +113,13 @@ def test_parameters_are_within_two_errors_in_95_of_100_draws(law, weighted):
 
 
 def test_errors_of_parameters_are_in_proportion_to_those_of_the_points():
-    x, y = _exact("mu_of_I")
+    x, y = _exact("mu_of_I_line")
     measured = y + 0.01 * np.random.default_rng(7).normal(size=len(x))
     fits = []
     for sigma in (0.01, 0.02):
         errors = {"friction_coefficient": np.full(len(x), sigma)}
-        fits.append(xcg.fit_law(_result("mu_of_I", x, measured, **errors), "mu_of_I"))
-    for name in CASES["mu_of_I"][1]:
+        fits.append(xcg.fit_law(_result("mu_of_I_line", x, measured, **errors), "mu_of_I_line"))
+    for name in CASES["mu_of_I_line"][1]:
         assert float(fits[1][name]) == pytest.approx(float(fits[0][name]), rel=1e-4)
         assert float(fits[1][f"{name}_error"]) == pytest.approx(
             2 * float(fits[0][f"{name}_error"]), rel=1e-3
