@@ -20,7 +20,6 @@ def use(ds: xr.Dataset) -> None:
     CoarseGrainAccessor(ds).displacement(on_error="ignore")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).microstructure(rattlers="leave")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).adjacency(weight="mass")  # type: ignore[arg-type]
-    CoarseGrainAccessor(ds).find_contacts(method="brute force")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).force_chains(algorithm="peters", min_stress="median")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).particle_stress(volume="sphere")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).slice_temperature(method="slices")  # type: ignore[arg-type]

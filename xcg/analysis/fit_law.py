@@ -282,8 +282,10 @@ def draw_fit(fit: xr.Dataset, ax: Axes, **options: Any) -> Axes:
     label = "\n".join([fit.attrs["law"], *numbers])
     curve_x, curve = fit["curve_x"].to_numpy(), fit["curve"].to_numpy()
     (line,) = ax.plot(curve_x, curve, **{"color": "black", "label": label, **options})
-    error = fit["curve_error"].to_numpy()
-    ax.fill_between(curve_x, curve - error, curve + error, color=line.get_color(), alpha=0.2, lw=0)
+    around = fit["curve_error"].to_numpy()
+    ax.fill_between(
+        curve_x, curve - around, curve + around, color=line.get_color(), alpha=0.2, lw=0
+    )
     if curve_x[0] > 0 and curve_x[-1] > _LOGARITHMIC * curve_x[0]:
         ax.set_xscale("log")
     drawing.set_label(ax.xaxis, drawing.label_of(fit["fit_x"], "fit_x"))
