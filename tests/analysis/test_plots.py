@@ -761,7 +761,7 @@ def test_a_movie_by_imageio_ffmpeg(result, tmp_path, monkeypatch):
     ("package", "extra", "call"),
     [
         ("matplotlib.pyplot", "plot", lambda f, folder: f.cg.plot()),
-        ("matplotlib.animation", "plot", lambda f, folder: f.cg.movie(folder / "f.gif")),
+        ("PIL.Image", "plot", lambda f, folder: f.cg.movie(folder / "f.gif")),
         ("zarr.codecs", "zarr", lambda f, folder: f.cg.save(folder / "f.zarr")),
         (
             "sklearn.cluster",
