@@ -274,11 +274,12 @@ def draw_fit(fit: xr.Dataset, ax: Axes, **options: Any) -> Axes:
     ax.errorbar(x, y, **errors, fmt="o", color="C0", label="points")
     numbers = []
     for name in map(str, fit["parameter"].to_numpy()):
-        value, error = float(fit[name]), float(fit[f"{name}_error"])
+        value = float(fit[name])
+        spread = float(fit[f"{name}_error"])
         digits = 3
-        if 0 < error < abs(value):  # to the last digit of the error
-            digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(error))
-        numbers.append(f"{name} = {value:.{digits}g} ± {error:.2g}")
+        if 0 < spread < abs(value):  # to the last digit of the error
+            digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(spread))
+        numbers.append(f"{name} = {value:.{digits}g} ± {spread:.2g}")
     label = "\n".join([fit.attrs["law"], *numbers])
     curve_x, curve = fit["curve_x"].to_numpy(), fit["curve"].to_numpy()
     (line,) = ax.plot(curve_x, curve, **{"color": "black", "label": label, **options})
