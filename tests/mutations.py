@@ -139,6 +139,10 @@ TABLE = [
         "test_units_of_arrays_are_converted",
     ),
     Mutation(
+        "scene/schema.py", "tuple(factor * component for", "tuple(component / factor for",
+        "test_gravity_in_the_units_of_the_data_warns",
+    ),
+    Mutation(
         "scene/complete.py", "beta(e1 / 2 + 1, e1)", "beta(e1 / 2, e1)",
         "test_axes_of_superquadrics_are_those_of_the_code_whose_columns_they_are",
     ),

@@ -1,5 +1,7 @@
 """Values that do not change are given once for all steps."""
 
+from ast import literal_eval
+
 import numpy as np
 import pytest
 
@@ -80,3 +82,26 @@ def test_rows_are_no_ids_where_a_particle_is_removed():
     added = [places[:2], places + np.array([0.01, 0.0, 0.0])]
     ds = xcg.scene_from_arrays(added, diameter=sizes[::-1], **options)
     np.testing.assert_allclose(ds.cg.derive("velocity").velocity[0, :2, 0], 1.0)
+
+
+@pytest.mark.parametrize(
+    ("units", "gravity", "warns"),
+    [
+        ({"length": 1e-3}, (0, 0, -9810.0), True),
+        ({"length": 1e-3}, (0, 0, -9.81), False),
+        ({"length": 1e-3}, (0, 0, -981.0), False),  # of a centrifuge
+        ({"length": 1e-3}, (6936.7, 0, -6936.7), True),  # of a slope
+        ("cgs", (0, -981.0, 0), True),
+        ({"length": 1e-3, "time": 1e-3}, (0, 0, -0.00981), True),
+        ({"mass": 1e-3}, (0, 0, -9.81), False),
+        ("reduced", (0, 0, -9.81), False),
+        (None, (0, 0, -9.81), False),
+    ],
+)
+def test_gravity_in_the_units_of_the_data_warns(units, gravity, warns, recwarn):
+    xcg.scene_from_arrays(R, diameter=D, density=2500.0, units=units, gravity=gravity)
+    about_gravity = [str(w.message) for w in recwarn if "gravity" in str(w.message)]
+    assert len(about_gravity) == warns
+    if warns:
+        length = float(np.linalg.norm(literal_eval(about_gravity[0].split("give gravity=")[1])))
+        assert length == pytest.approx(9.81, rel=1e-4)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_finite, is_positive, vector
 from xcg.common.compat import is_in_memory
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, warn_user
 
 COMPONENTS = ("x", "y", "z")
 _ORDERED = ("", "x", "y", "z", "xy", "xz", "yz", "xyz")  # axes as attributes hold them
@@ -29,6 +29,7 @@ MAX_GROUPS = 100
 # m; powers of lengths between these are numbers, too
 SHORTEST = 1e-75
 LONGEST = 1e75
+_OF_EARTH = (9.75, 10.05)  # m s-2, between which gravity on Earth is rounded
 
 Frame: TypeAlias = dict[str, NDArray]
 Powers: TypeAlias = tuple[int, int, int]  # of length, mass, time
@@ -440,7 +441,22 @@ class Setup:
             raise SceneError(
                 "discs need thickness=: their volume is pi d^2/4 times the thickness of the layer"
             )
+        made._check_gravity()
         return made
+
+    def _check_gravity(self) -> None:
+        """Warn of a gravity that is the Earth's in the units of the data."""
+        if self.gravity is None or self.unit_system != "SI":
+            return
+        factor = self.factor((1, 0, -2))
+        standard = tuple(factor * component for component in self.gravity)
+        least, most = _OF_EARTH
+        if factor != 1 and least < math.hypot(*standard) < most:
+            shown = ", ".join(f"{component:.6g}" for component in standard)
+            warn_user(
+                f"gravity={self.gravity}: expected m s-2, beside units=, too, and this is that of the Earth in the "
+                f"units of the data; give gravity=({shown})"
+            )
 
     @classmethod
     def of(cls, attrs: Mapping[Any, Any]) -> Setup:
