@@ -784,3 +784,10 @@ def test_extras_named_in_messages_exist():
         named |= set(re.findall(r'extra\("[\w.]+", "(\w+)"', path.read_text()))
     assert named
     assert named <= set(known)
+
+
+@pytest.mark.parametrize("axes", ["z", "xz"])
+def test_a_selection_without_nodes_names_its_axis(axes):
+    f = xcg.datasets.open("chute").cg.coarse_grain("density", axes=axes, width=1.0)
+    with pytest.raises(ValueError, match="no node is left along z; select one at least"):
+        f.isel(z=slice(0, 0)).cg.plot("density")

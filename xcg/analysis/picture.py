@@ -72,6 +72,11 @@ class Shown:
         axes = axes_of(cut)
         if not 1 <= len(axes) <= 2 or "point" in cut.dims:
             raise ValueError(_other_way(f, cut[name]))
+        for axis in axes:
+            if not cut.sizes[axis]:
+                raise ValueError(
+                    f"plot({name!r}): no node is left along {axis}; select one at least"
+                )
         value = cut[name]
         if len(axes) == 2:
             value = without_air(cut, name)
