@@ -139,11 +139,12 @@ def format_call(function: str, arguments: Mapping[str, Any]) -> str:
     texts = []
     for name, value in arguments.items():
         text = repr(value)
-        parts = value.values() if isinstance(value, Mapping) else [value]
-        if any(getattr(part, "shape", ()) for part in parts):
+        if getattr(value, "shape", ()):
             text = f"<array {np.shape(value)}>"
-            if isinstance(value, Mapping):
-                text = format_call("dict", value)
+        elif isinstance(value, Mapping) and any(
+            getattr(part, "shape", ()) for part in value.values()
+        ):
+            text = format_call("dict", value)
         texts.append(f"{name}={text}")
     return printable(f"{function}({', '.join(texts)})").replace("\n", " ")
 

@@ -352,8 +352,9 @@ def test_usual_points_do_not_warn(scene):
         )
 
 
-def test_the_history_of_points_is_one_line(scene):
-    at = {a: xr.DataArray(np.linspace(0.5, 2.0, 200), dims="point") for a in "xyz"}
+@pytest.mark.parametrize("kind", [dict, xr.Dataset])
+def test_the_history_of_points_is_one_line(scene, kind):
+    at = kind({a: xr.DataArray(np.linspace(0.5, 2.0, 200), dims="point") for a in "xyz"})
     f = scene.cg.coarse_grain("density", at=at)
     assert "\n" not in f.attrs["history"].removeprefix(f"{scene.attrs.get('history')}\n")
     assert "at=dict(x=<array (200,)>, y=<array (200,)>, z=<array (200,)>)" in f.attrs["history"]
