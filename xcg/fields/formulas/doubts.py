@@ -80,7 +80,7 @@ class Steadiness:
         # without the blocks: their graph would be pickled for each name
         sharing = [other for other, weight in self.weights.items() if weight == self.weights[name]]
         warn = partial(_warn, self.call, name, sharing, self.steps, self.blocks.number)
-        return _telling(error, warn, *(share.variable for share in shares))
+        return _with_warning(error, warn, *(share.variable for share in shares))
 
     def _shares(
         self, name: str, unsure: xr.Variable | None
@@ -112,15 +112,15 @@ class Steadiness:
 Values = TypeVar("Values", xr.DataArray, xr.Variable)
 
 
-def _telling(values: Values, warn: Callable[..., None], *numbers: Any) -> Values:
+def _with_warning(values: Values, warn: Callable[..., None], *numbers: Any) -> Values:
     """Return values that warn when they are computed; `warn` takes the numbers as floats."""
 
-    def told(values: NDArray, *numbers: NDArray) -> NDArray:
+    def warned(values: NDArray, *numbers: NDArray) -> NDArray:
         warn(*(float(np.max(number)) for number in numbers))
         return values
 
     return xr.apply_ufunc(
-        told, values, *numbers, dask="parallelized", output_dtypes=[float], keep_attrs="override"
+        warned, values, *numbers, dask="parallelized", output_dtypes=[float], keep_attrs="override"
     )
 
 
@@ -226,7 +226,7 @@ def with_unknown_temperatures(mean: xr.Dataset, options: Options, purpose: str) 
     call = active_call()
     reached = mean["density"] > 0
     nodes = [dim for dim in reached.dims if dim not in NOT_NODES]
-    told = {}
+    warning = {}
     for name in ("granular_temperature", "mixture_temperature"):
         if name not in mean or "phase" not in mean[name].dims:
             continue
@@ -235,8 +235,8 @@ def with_unknown_temperatures(mean: xr.Dataset, options: Options, purpose: str) 
         phases = [label for label in values["phase"].to_numpy() if label != "bulk"]
         shares = [lost.sel(phase=label, drop=True) for label in phases]
         warn = partial(_warn_of_unknown, call, purpose, name, phases)
-        told[name] = _telling(values, warn, *shares)
-    return mean.assign(told)
+        warning[name] = _with_warning(values, warn, *shares)
+    return mean.assign(warning)
 
 
 def _warn_of_unknown(
@@ -278,7 +278,7 @@ def unsure_sign(
         output_dtypes=[bool],
     )
     share = unsure.sum() / error.notnull().sum().clip(1)
-    return unsure, _telling(error, partial(_warn_of_sign, call), share)
+    return unsure, _with_warning(error, partial(_warn_of_sign, call), share)
 
 
 def _with_small_middle(tensor: NDArray, error: NDArray) -> NDArray:
@@ -318,7 +318,7 @@ def with_noise(
     unit = norm.attrs.get("units", "1")
     least = 0.0 if field.floor_units else CONSIDERABLE_FLOOR * field.usual
     warn = partial(_warn_of_noise, call, name, "" if unit == "1" else f" {unit}", least)
-    return _telling(error, warn, share, mean, left)
+    return _with_warning(error, warn, share, mean, left)
 
 
 def _warn_of_noise(
@@ -338,7 +338,7 @@ def with_unsure_angle(name: str, angle: xr.Variable, error: xr.Variable, call: O
     """Return the error of an averaged angle, which warns if its mean is more than half of that of the angle."""
     finite = angle.notnull() & error.notnull()
     means = [values.where(finite).sum() / finite.sum().clip(1) for values in (angle, error)]
-    return _telling(error, partial(_warn_of_angle, call, name), *means)
+    return _with_warning(error, partial(_warn_of_angle, call, name), *means)
 
 
 def _warn_of_angle(call: Once, name: str, angle: float, error: float) -> None:
