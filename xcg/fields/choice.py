@@ -9,7 +9,7 @@ from typing import Any
 
 from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.field import Field, Options, Quantity
+from xcg.fields.formulas.field import OF_CALLS, Field, Options, Quantity
 from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
 from xcg.fields.formulas.rows.flow import FITS
 from xcg.fields.formulas.rules import needed_for_averages
@@ -19,18 +19,6 @@ from xcg.fields.request import Per, Request
 from xcg.fields.sums.moments import Moment
 from xcg.scene.scene import Scene
 from xcg.scene.schema import CONTACT_VARIABLES
-
-# arguments of a call that are options of the algebra
-_AS_REQUESTED = (
-    "gradient",
-    "pressure_dims",
-    "shear_dims",
-    "deviatoric",
-    "size",
-    "fluid_viscosity",
-    "friction",
-    "by",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +261,7 @@ def requested_options(scene: Scene, request: Request) -> Options:
     if request.by is not None and temperature == "unbiased":
         temperature = "mixture"
     return Options(
-        **{name: getattr(request, name) for name in _AS_REQUESTED},
+        **{name: getattr(request, name) for name in (*OF_CALLS, "friction", "by")},
         plane=tuple(setup.axes),
         diameter=scene.sizes.get(size),
         temperature=temperature,

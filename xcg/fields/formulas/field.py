@@ -20,6 +20,9 @@ InertialSize: TypeAlias = Literal["d43", "d32", "d50", "dmax"]
 Temperature: TypeAlias = Literal["unbiased", "biased"]
 Function = Callable[[Any, Any, "Options"], Any]
 
+# options of the algebra that are arguments of calls, and that averages of a result take from it
+OF_CALLS = ("gradient", "pressure_dims", "shear_dims", "deviatoric", "size", "fluid_viscosity")
+
 
 @dataclass(frozen=True)
 class Options:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
-from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.field import OF_CALLS, Field, Options
 from xcg.fields.formulas.rows import (
     contacts,
     displacement,
@@ -148,16 +148,7 @@ def field_of(name: str, options: Options) -> Field:
 def options_of(attrs: Mapping[Any, Any]) -> Options:
     """Return the choices of the algebra that a result was computed with, from its attributes."""
     saved = saved_options(attrs)
-    names = (
-        "gradient",
-        "pressure_dims",
-        "shear_dims",
-        "deviatoric",
-        "size",
-        "fluid_viscosity",
-        "lag",
-    )
-    options: dict[str, Any] = {name: saved[name] for name in names if name in saved}
+    options: dict[str, Any] = {n: saved[n] for n in (*OF_CALLS, "lag") if n in saved}
     if "plane" in attrs:
         options["plane"] = tuple(map(COMPONENTS.index, str(attrs["plane"])))
     options["temperature"] = saved.get("temperature", "biased")  # of files without it

@@ -712,11 +712,14 @@ def _columns_of_parquet(file: Any) -> dict[str, str]:
     columns = {}
     for field in file.schema_arrow:
         for part in field.flatten():  # of position {x, y, z}: position.x, ...
-            name = part.name if part.name == field.name else part.name.replace(".", "_")
+            name = part.name
+            if name != field.name:
+                name = name.replace(".", "_")
             metadata = part.metadata or {}
             unit = metadata.get(b"units", metadata.get(b"unit", b"")).decode()
-            is_known = parse_unit(unit) is not None and unit_of(name) is None
-            columns[f"{name} [{unit}]" if is_known else name] = part.name
+            if parse_unit(unit) is not None and unit_of(name) is None:
+                name = f"{name} [{unit}]"
+            columns[name] = part.name
     return columns
 
 
