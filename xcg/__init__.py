@@ -4,7 +4,7 @@
 methods of xcg, such as ``ds.cg.coarse_grain(["velocity", "density"], axes="z")``. ``print(ds.cg)``
 shows what a scene holds.
 
-Names are loaded when they are first used, from the modules that ``__init__.pyi`` lists.
+Names are loaded when they are first used, from the modules that ``__init__.pyi`` and ``accessor.pyi`` list.
 """
 
 from importlib import import_module
@@ -14,8 +14,15 @@ from typing import Any
 import lazy_loader
 import xarray as xr
 
+from xcg.common.stubs import modules_of, public_names, read_stub
+
 __version__ = version("xcg")
-_load, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_names: dict[str, list[str]] = {}
+for _stub in (read_stub("__init__.pyi"), read_stub("accessor.pyi")):
+    _modules = modules_of(_stub)
+    for _name in public_names(_stub):
+        _names.setdefault(_modules[_name], []).append(_name)
+_load, _, __all__ = lazy_loader.attach(__name__, _names.pop(""), _names)
 
 # Names of other packages for what is here.
 _OTHER_NAMES = {

@@ -1,17 +1,20 @@
 """The accessor `ds.cg`: its methods are the functions of the package that take a Dataset first.
 
-A function is loaded when its method is first used. Editors and type checkers take its arguments from
-``accessor.pyi``, which imports it.
+The methods, and the kinds of Datasets that they are offered for, are listed in ``accessor.pyi``, where editors and
+type checkers find their arguments. A function is loaded when its method is first used.
 """
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable
 from importlib import import_module
 from types import MethodType
 from typing import Any
 
 import xarray as xr
+
+from xcg.common.stubs import modules_of, read_stub
 
 SCENE = "scene"
 RESULT = "result"
@@ -98,18 +101,16 @@ class Method:
 
     Parameters
     ----------
-    module : str
+    module, name : str
         Where the function is.
     *kinds : str
         Kinds of Datasets that it is offered for.
     """
 
-    def __init__(self, module: str, *kinds: str) -> None:
+    def __init__(self, module: str, name: str, *kinds: str) -> None:
         self.module = module
-        self.kinds = kinds
-
-    def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
+        self.kinds = kinds
 
     def __get__(self, accessor: CoarseGrainAccessor | None, owner: type) -> Callable:
         function = getattr(import_module(self.module), self.name)
@@ -150,69 +151,17 @@ class CoarseGrainAccessor:
         module, name = _SUMMARIES[kind_of(self._ds)]
         return getattr(import_module(module), name)(self._ds)
 
-    coarse_grain = Method("xcg.fields.coarse_grain", SCENE)
-    explain = Method("xcg.fields.coarse_grain", SCENE)
-    displacement = Method("xcg.analysis.displacement", SCENE)
-    mean_squared_displacement = Method("xcg.analysis.diffusion", SCENE)
-    velocity_autocorrelation = Method("xcg.analysis.diffusion", SCENE)
-    width_sweep = Method("xcg.analysis.widths", SCENE)
-    choose_width = Method("xcg.analysis.choose_width", SCENE)
-    balance = Method("xcg.analysis.balance", SCENE)
-    slice_temperature = Method("xcg.analysis.slice_temperature", SCENE)
-    cell_volumes = Method("xcg.analysis.cell_volumes", SCENE)
-    depth_average = Method("xcg.analysis.shallow", SCENE)
-    flow_rate = Method("xcg.analysis.flow_rate", SCENE)
-    wall_stress = Method("xcg.analysis.wall_stress", SCENE)
-    find_contacts = Method("xcg.analysis.find_contacts", SCENE)
-    microstructure = Method("xcg.analysis.microstructure", SCENE)
-    adjacency = Method("xcg.analysis.network", SCENE)
-    contact_graph = Method("xcg.analysis.network", SCENE)
-    contact_history = Method("xcg.analysis.contact_history", SCENE)
-    voronoi = Method("xcg.analysis.voronoi", SCENE)
-    particle_stress = Method("xcg.analysis.particle_stress", SCENE)
-    force_chains = Method("xcg.analysis.force_chains", SCENE)
-    radial_distribution = Method("xcg.analysis.radial_distribution", SCENE)
-    contact_value = Method("xcg.analysis.contact_value", SCENE)
-    structure_factor = Method("xcg.analysis.structure_factor", SCENE)
-    bond_order = Method("xcg.analysis.bond_order", SCENE)
-    measure = Method("xcg.scene.measure", SCENE)
-    size_statistics = Method("xcg.scene.measure", SCENE)
-    group_bodies = Method("xcg.scene.bodies", SCENE)
-    find_phases = Method("xcg.scene.phases", SCENE)
-    assign_phases = Method("xcg.scene.phases", SCENE)
-    plot_phases = Method("xcg.scene.phases", SCENE)
-    select = Method("xcg.scene.selected", SCENE)
-    select_walls = Method("xcg.scene.contacts", SCENE)
-    derive_director = Method("xcg.analysis.derived", SCENE)
-    derive_superquadric = Method("xcg.analysis.derived", SCENE)
-    derive = Method("xcg.analysis.derive", SCENE)
 
-    principal = Method("xcg.analysis.principal", RESULT)
-    plot_principal = Method("xcg.analysis.principal", RESULT)
-    profile = Method("xcg.fields.formulas.averages", RESULT)
-    coarsen = Method("xcg.fields.formulas.averages", RESULT)
-    time_average = Method("xcg.fields.formulas.averages", RESULT)
-    spatial_correlation = Method("xcg.analysis.correlations", RESULT)
-    time_correlation = Method("xcg.analysis.correlations", RESULT)
-    free_surface = Method("xcg.analysis.shallow", RESULT)
-    compare = Method("xcg.analysis.compare", RESULT)
-    fit_law = Method("xcg.analysis.fit_law", RESULT)
-    fit_slope = Method("xcg.analysis.shallow", RESULT)
-    plot = Method("xcg.analysis.plots", SCENE, RESULT)
-    plot_width = Method("xcg.analysis.choose_width", RESULT)
-    movie = Method("xcg.analysis.movie", RESULT)
+def _add_methods() -> None:
+    """Add the methods of the stub, which lists them as ``name = _Bound(name, "scene", ...)``."""
+    stub = read_stub("accessor.pyi")
+    modules = modules_of(stub)
+    for node in ast.walk(stub[-1]):
+        if isinstance(node, ast.Call):
+            function, *kinds = node.args
+            name = ast.unparse(function)
+            method = Method(f"xcg.{modules[name]}", name, *map(ast.literal_eval, kinds))
+            setattr(CoarseGrainAccessor, name, method)
 
-    select_chains = Method("xcg.analysis.chain_selection", CHAINS)
-    track_chains = Method("xcg.analysis.force_chains", CHAINS)
-    chain_table = Method("xcg.analysis.chain_results", CHAINS)
-    link_table = Method("xcg.analysis.chain_results", CHAINS)
-    plot_chains = Method("xcg.analysis.chain_results", CHAINS)
-    plot_rose = Method("xcg.analysis.chain_results", SCENE, CHAINS)
-    to_csv = Method("xcg.writers.chains", CHAINS)
-    to_vtp = Method("xcg.writers.chains", CHAINS)
 
-    to_vtu = Method("xcg.writers.paraview", RESULT)
-    to_pyvista = Method("xcg.writers.view", SCENE, RESULT, CHAINS)
-    view = Method("xcg.writers.view", SCENE, RESULT, CHAINS)
-    save = Method("xcg.writers.save", SCENE, RESULT, CHAINS)
-    explore = Method("xcg.explore.app", SCENE, RESULT)
+_add_methods()
