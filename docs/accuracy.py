@@ -192,7 +192,7 @@ def contact_stress(particles: int) -> Panel:
     for order in RULES:
         limits = np.where(np.array(RULES) == order, np.inf, 0.0)
         # the others lie among those of `rtol`
-        label = {RULES[0]: "right", RULES[-1]: "below"}.get(order, "")
+        label = "right" if order in (RULES[0], RULES[-1]) else ""
         with planning(gauss_limits=lambda *_, limits=limits: limits):
             ways.append(way(f"{order} points", "Gauss-Legendre, all contacts", 1.0, label))
     for exponent in range(
@@ -735,9 +735,9 @@ grain or contact to one node, and includes finding the node and its weight. The 
 updates bare additions reach, ``sums[k] += weight[k] * factor`` over as many consecutive numbers.
 
 **Default: Lucy.** Its value is a polynomial of the distance, its integral along a branch polynomials and one
-logarithm, and both run as vector instructions. The Gaussian takes exponentials and error functions, and reaches three
-times as many nodes at the same width. The Heaviside is the fastest because it reaches the fewest nodes, each of which
-then sees few grains. Wendland's C2 function, (1 - q)^4 (1 + 4 q), stands for registered kernels.
+logarithm, and both run as vector instructions. Gaussians and registered kernels are polynomials, and a Gaussian reaches
+three times as many nodes at the same width. The Heaviside is the fastest because it reaches the fewest nodes, each of
+which then sees few grains. Wendland's C2 function, (1 - q)^4 (1 + 4 q), stands for registered kernels.
 """
 
 MARKERS = "osD^v"
@@ -752,7 +752,7 @@ PROGRAMS = {
 LABELS: dict[str, dict[str, Any]] = {
     "right": {"xytext": (9, 0), "ha": "left", "va": "center"},
     "left": {"xytext": (-9, 0), "ha": "right", "va": "center"},
-    "below": {"xytext": (0, -9), "ha": "center", "va": "top"},
+    "below": {"xytext": (0, -10), "ha": "center", "va": "top"},
     "up": {
         "xytext": (-2, 9),
         "ha": "left",
@@ -765,8 +765,8 @@ LABELS: dict[str, dict[str, Any]] = {
 
 # of numbers, below the points of one series and above those of the next
 SIDES: tuple[dict[str, Any], ...] = (
-    {"xytext": (0, -8), "ha": "center", "va": "top"},
-    {"xytext": (0, 8), "ha": "center", "va": "bottom"},
+    {"xytext": (0, -10), "ha": "center", "va": "top"},
+    {"xytext": (0, 10), "ha": "center", "va": "bottom"},
 )
 
 
@@ -796,8 +796,10 @@ def recorded(panel: Panel) -> tuple[list[Point], dict[str, float]]:
 
 def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path: Path) -> None:
     import matplotlib.pyplot as plt
+    from matplotlib.patheffects import withStroke
     from matplotlib.ticker import LogLocator, NullFormatter
 
+    halo = [withStroke(linewidth=3, foreground="white")]  # no line crosses a label
     figure, grid = plt.subplots(2, 3, figsize=(15, 9.5), layout="constrained")
     for ax, (panel, points, bare) in zip(grid.flat, panels, strict=True):
         ax.set(xscale="log", yscale="log", title=panel.title, ylabel=panel.measure)
@@ -835,6 +837,7 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
                         textcoords="offset points",
                         fontsize=8.5,
                         color=f"C{k}",
+                        path_effects=halo,
                         **about,
                     )
         chosen = [p for p in points if p.way.default]
@@ -865,7 +868,7 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
         if numbers:
             key = "\n".join(f"{number}  {name}" for name, number in numbers.items())
             ax.text(
-                0.97, 0.4, key, transform=ax.transAxes, ha="right", va="center", fontsize=8.5,
+                0.97, 0.37, key, transform=ax.transAxes, ha="right", va="center", fontsize=8.5,
                 multialignment="left",
                 bbox={"facecolor": "white", "edgecolor": "0.8"},
             )  # fmt: skip
