@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import xcg
 from tests.fuzz.check import damaged, lay, outcome
 from tests.fuzz.targets import ROOT, TARGETS
-from xcg.readers.engine import _OWN, load_engine
+from xcg.readers.engine import BUILT_IN, load_engine
 
 EXAMPLES = dict.fromkeys(TARGETS, 12) | {"vtp": 4, "ini": 3, "toml": 6}
 
@@ -54,7 +54,7 @@ def test_every_engine_has_a_target(tmp_path):
             (tmp_path / f"{name}_seeds").mkdir()
             lay(tmp_path / name, target.seeds(tmp_path / f"{name}_seeds"))
             assert outcome(name, tmp_path / name) == ("opened", "")
-    assert loaded == set(_OWN)
+    assert loaded == set(BUILT_IN)
 
 
 # --- found by fuzzing ------------------------------------------------------------------------------------

@@ -12,14 +12,16 @@ import pytest
 
 import xcg
 from tests import ROOT
-from xcg.readers.engine import _OWN, Engine, StepRef, engine_table, load_engine
+from xcg.readers.engine import BUILT_IN, Engine, StepRef, engine_table, load_engine
 
 
-def test_engines_are_called_by_the_name_that_they_have_in_messages():
-    listed = re.search(r"one of \{(.*?)\}", xcg.open_scene.__doc__, re.DOTALL)[1]
-    named = listed.replace('"', "").replace(",", " ").split()
-    assert named == list(_OWN)
-    assert [load_engine(name).name for name in _OWN] == named
+def test_engines_are_called_by_the_name_that_they_have_in_messages_and_on_the_page():
+    assert [load_engine(name).name for name in BUILT_IN] == list(BUILT_IN)
+    listed = ", ".join(BUILT_IN)
+    assert f"one of\n        {listed};\n" in xcg.open_scene.__doc__
+    table = (ROOT / "docs" / "reading.md").read_text().partition("| engine |")[2]
+    rows = re.findall(r"^\| `(\w+)` \|", table.partition("\n\n")[0], re.MULTILINE)
+    assert sorted(rows) == sorted(BUILT_IN)
 
 
 # --- a reader from another package -----------------------------------------------------------------------
@@ -93,10 +95,7 @@ except xcg.SceneError as error:
     told = "[2.5, 4.5, 6.5] 0.002\n[0.0, 0.5] [0.003, 0.005]\n"
     shown = run(code, site, tmp_path)
     assert shown.startswith(2 * told)
-    assert shown.endswith(
-        "; did you mean 'grit'? Expected one of lammps, liggghts, mercury, mfix, yade, xyz, table, h5md, "
-        "hdf5, vtk, grit\n"
-    )
+    assert shown.endswith(f"; did you mean 'grit'? Expected one of {', '.join(BUILT_IN)}, grit\n")
 
 
 @pytest.mark.slow  # test_backend, and the same package through open_scene

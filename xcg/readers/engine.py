@@ -341,7 +341,7 @@ class Engine(ABC):
 
 
 GROUP = "xcg.readers"
-_OWN = {
+BUILT_IN = {
     "lammps": "xcg.readers.engines.lammps:Lammps",
     "liggghts": "xcg.readers.engines.liggghts:Liggghts",
     "mercury": "xcg.readers.engines.mercury:Mercury",
@@ -358,7 +358,7 @@ _OWN = {
 @cache  # a file of each installed package is read to find them
 def engine_table() -> dict[str, EntryPoint]:
     """List the engines by name; engines of this package come first, and first when files are recognised."""
-    table = {name: EntryPoint(name, target, GROUP) for name, target in _OWN.items()}
+    table = {name: EntryPoint(name, target, GROUP) for name, target in BUILT_IN.items()}
     for entry in entry_points(group=GROUP):
         taken = table.setdefault(entry.name, entry)
         if taken.value != entry.value:

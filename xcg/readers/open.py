@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from xcg.readers.arguments import Arguments, Missing, Paths
 from xcg.readers.chunks import Chunks, is_automatic
 from xcg.readers.ends import lacks_ids, read_ends, warn_of_missing_facts
-from xcg.readers.engine import Engine
+from xcg.readers.engine import BUILT_IN, Engine
 from xcg.readers.indexed import indexed_arrays
 from xcg.readers.listing import list_series
 from xcg.readers.saved import open_saved, saved_path
@@ -72,9 +72,9 @@ def open_scene(
         "f_side[*]"}``, or the names of six columns, force and point. The walls are partners -2, -3,
         ... in their order; see `xcg.select_walls`.
     engine : str or Engine, optional
-        What wrote the files, one of {"lammps", "liggghts", "mercury", "mfix", "yade", "xyz",
-        "table", "h5md", "hdf5", "vtk"}, guessed from their first bytes by default; the name of an
-        engine that an installed package registers; or a class or object derived from
+        What wrote the files, guessed from their first bytes by default: one of
+        {engines};
+        the name of an engine that an installed package registers; or a class or object derived from
         `xcg.readers.Engine`.
     names : mapping, list or text, optional
         From columns in the files to variables of the scene, before what the engine knows by itself;
@@ -279,3 +279,7 @@ def open_scene(
         measured=measured,
     )
     return with_origin(scene, arguments, listing, numbered=numbered)
+
+
+if open_scene.__doc__:  # there is none under python -OO
+    open_scene.__doc__ = open_scene.__doc__.replace("{engines}", ", ".join(BUILT_IN))
