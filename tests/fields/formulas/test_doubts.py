@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 from tests import raise_if_dask_computes, truths
@@ -219,3 +220,12 @@ def test_averages_of_many_grains_have_no_floor_to_warn_of():
         ds.cg.coarse_grain, "friction_coefficient", axes="xyz", width="2 d43", for_averages=True
     )
     assert told(f.cg.profile, "z")[1] == []
+
+
+def test_equal_lazy_averages_that_may_warn_have_equal_names():
+    ds = xcg.datasets.random_scene(60).cg.find_contacts(k_n=1.0).chunk()
+    fields = ["velocity", "stress", "granular_temperature", "friction_coefficient"]
+    f = ds.cg.coarse_grain(fields, axes="z", width=0.8, by="species", for_averages=True)
+    runs = xr.concat([f] * 8, "run")
+    for average in (lambda: runs.cg.time_average(dim="run"), lambda: f.cg.profile("z")):
+        assert average().__dask_layers__() == average().__dask_layers__()

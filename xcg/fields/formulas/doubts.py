@@ -114,14 +114,20 @@ Values = TypeVar("Values", xr.DataArray, xr.Variable)
 
 def _with_warning(values: Values, warn: Callable[..., None], *numbers: Any) -> Values:
     """Return values that warn when they are computed; `warn` takes the numbers as floats."""
-
-    def warned(values: NDArray, *numbers: NDArray) -> NDArray:
-        warn(*(float(np.max(number)) for number in numbers))
-        return values
-
     return xr.apply_ufunc(
-        warned, values, *numbers, dask="parallelized", output_dtypes=[float], keep_attrs="override"
+        partial(_warned, warn),
+        values,
+        *numbers,
+        dask="parallelized",
+        output_dtypes=[float],
+        keep_attrs="override",
     )
+
+
+def _warned(warn: Callable[..., None], values: NDArray, *numbers: NDArray) -> NDArray:
+    """Warn, and return the values; no closure, to which dask would give another name in each call."""
+    warn(*(float(np.max(number)) for number in numbers))
+    return values
 
 
 def _share(mask: xr.DataArray, finite: xr.DataArray) -> xr.DataArray:
