@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import chain
 
-from xcg.readers.column_units import unit_of
+from xcg.readers.column_units import names_unknown_unit, unit_of
 from xcg.readers.names import ALL_SLOTS, Slots, canonical
 from xcg.scene.schema import COMPONENTS, VARIABLES, Powers, powers_of
 
@@ -70,6 +70,15 @@ def factor_of(column: str, slot: str) -> float:
     if unit is None or unit.powers != powers_of_slot(slot):
         return 1.0
     return unit.factor
+
+
+def has_other_unit(column: str, slot: str) -> bool:
+    """Return whether the name of a column holds a unit that is not known, or not one of its slot."""
+    powers = powers_of_slot(slot)
+    unit = unit_of(column)
+    if unit is None:
+        return names_unknown_unit(column) and powers != (0, 0, 0)
+    return unit.in_brackets and powers not in ((0, 0, 0), unit.powers)
 
 
 def columns_by_name(columns: Sequence[str], slots: Slots) -> dict[str, str]:

@@ -14,12 +14,12 @@ from itertools import chain
 
 from xcg.common.messages import SceneError, printable, warn_user
 from xcg.readers.assigned import lacks, magnitudes_among
-from xcg.readers.column_units import names_unknown_unit
+from xcg.readers.column_units import unit_of
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.files.vtkheader import OF_CELLS
 from xcg.readers.likely_names import resembling, vectors_among
-from xcg.readers.named_columns import powers_of_slot
+from xcg.readers.named_columns import factor_of, has_other_unit, vector_of
 from xcg.readers.names import ALL_SLOTS, CONTACT_SLOTS, PARTICLE_SLOTS, canonical
 from xcg.readers.wall_columns import WALL_ARRAY
 from xcg.scene.schema import COMPONENTS
@@ -231,17 +231,24 @@ class Report:
         )
 
     def warn_of_unknown_units(self) -> None:
-        """Warn of columns that are read, and whose names hold a unit that is not known."""
-        columns = [
-            name
-            for name, slot in self.read.items()
-            if names_unknown_unit(name)
-            and (slot not in self._slots() or powers_of_slot(slot) != (0, 0, 0))
-        ]
+        """Warn of columns that are read, and whose names hold no unit of their variable, or only some of a vector."""
+        columns = [name for name, slot in self.read.items() if has_other_unit(name, slot)]
         if columns:
             warn_user(
-                f"{self.source}: columns {', '.join(map(repr, columns))} name a unit that is not known, and SI is "
-                "taken; give the factors to SI, such as units={'length': 1e-3} for mm, or units='SI'"
+                f"{self.source}: columns {', '.join(map(repr, columns))} name a unit that is not known or not one of "
+                "the variable, and SI is taken; give the factors to SI, such as units={'length': 1e-3} for mm, or "
+                "units='SI'"
+            )
+        without = {vector_of(slot) for name, slot in self.read.items() if unit_of(name) is None}
+        mixed = [
+            name
+            for name, slot in self.read.items()
+            if factor_of(name, slot) != 1 and vector_of(slot) in without
+        ]
+        if mixed:
+            warn_user(
+                f"{self.source}: columns {', '.join(map(repr, mixed))} name a unit, and other components of their "
+                "vectors do not and are read as SI; name it for all, or give the factors to SI, units={'length': ...}"
             )
 
 

@@ -196,6 +196,19 @@ def test_mappings_of_contacts_are_offered_by_mapping(tmp_path, change, offer):
     assert "names=" not in str(error.value)
 
 
+@pytest.mark.parametrize("text", ["furlong", "kg"])
+def test_units_of_datasets_that_are_not_of_the_variable_raise(tmp_path, text):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["position"] = [[100.0, 200.0, 300.0]]
+        file["radius"] = [0.05]
+        file["position"].attrs["units"] = text
+    options = {"mapping": {key: f"/{key}" for key in ("position", "radius")}, "density": 1.0}
+    with pytest.raises(xcg.SceneError, match=f"'/position' has the unit '{text}'"):
+        xcg.open_scene(tmp_path / "run.h5", **options).load()
+    ds = xcg.open_scene(tmp_path / "run.h5", units="si", **options)
+    np.testing.assert_array_equal(ds.position[0, 0], [100, 200, 300])
+
+
 @pytest.mark.parametrize("name", ["units", "unit"])
 @pytest.mark.parametrize("text", ["mm", np.bytes_("mm"), np.array(["mm"], object)])
 def test_units_of_datasets_are_converted(tmp_path, name, text):

@@ -127,6 +127,6 @@ def test_units_behind_a_sign_are_read(form):
     ds = xcg.scene_from_table(named, density=1.0)
     np.testing.assert_allclose(ds.position[0], [[3e-3, 0, 0]])
     np.testing.assert_allclose(ds.diameter, 1e-3)
-    mapped = table.rename(columns={"x": form.format("Ort")})
+    mapped = named.rename(columns={form.format("x"): form.format("Ort")})
     ds = xcg.scene_from_table(mapped, names={form.format("Ort"): "position_x"}, density=1.0)
     np.testing.assert_allclose(ds.position[0, 0, 0], 3e-3)

@@ -292,11 +292,34 @@ def test_endings_that_may_mean_something_else_are_no_units(column):
 def test_an_ending_that_is_perhaps_a_unit_is_named_where_it_is_mapped(tmp_path):
     path = tmp_path / "p.csv"
     path.write_text("id,x_cm,y,z,radius\n1,2,3,4,5\n")
-    with pytest.warns(
-        xcg.SceneWarning, match="'x_cm' name a unit that is not known, and SI is taken"
-    ):
+    with pytest.warns(xcg.SceneWarning, match="'x_cm' name a unit that is not known or not one of"):
         ds = xcg.open_scene(path, density=1, names={"x_cm": "position_x"})
     assert ds.position.values[0, 0, 0] == 2
+
+
+@pytest.mark.parametrize("column", ["x [kg]", "radius [m/s]", "vx [-]"])
+def test_units_of_another_quantity_are_named(tmp_path, column):
+    header = "id,x,y,z,vx,vy,vz,radius".replace(column.partition(" ")[0], column, 1)
+    path = tmp_path / "p.csv"
+    path.write_text(f"{header}\n1,2,3,4,5,6,7,8\n")
+    with pytest.warns(xcg.SceneWarning, match=re.escape(f"columns '{column}' name a unit")):
+        ds = xcg.open_scene(path, density=1)
+    assert ds.position.values[0, 0, 0] == 2
+    assert ds.velocity.values[0, 0, 0] == 5
+
+
+def test_a_unit_of_one_component_alone_is_named(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("id,x [m],y,z,vx [mm/s],vy,vz,radius [mm]\n1,2,3,4,5,6,7,8\n")
+    with pytest.warns(
+        xcg.SceneWarning, match=r"columns 'vx \[mm/s\]' name a unit, and other components"
+    ):
+        xcg.open_scene(path, density=1)
+    path.write_text("id,x [m],y [mm],z [m],vx [mm/s],vy [m/s],vz [m/s],radius\n1,2,3,4,5,6,7,8\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ds = xcg.open_scene(path, density=1)
+    np.testing.assert_allclose(ds.position[0, 0], [2, 3e-3, 4], rtol=1e-15)
 
 
 @pytest.mark.parametrize("word", ["px", "contact", "of cells", "1", "2", "", "x", "Points"])

@@ -23,7 +23,7 @@ from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.filenames import sort_by_numbers
 from xcg.readers.files.hdf5data import dataset, is_hdf5, listing, opened, text_of
 from xcg.readers.files.text import source_of
-from xcg.readers.named_columns import factor_of
+from xcg.readers.named_columns import factor_of, has_other_unit
 from xcg.readers.names import ALL_SLOTS, CONTACT_SLOTS, vector_columns
 from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
@@ -301,8 +301,14 @@ def _factor(file: h5py.File, path: str, column: str) -> float:
     """Return the factor to SI of the unit that an attribute of a dataset names; 1 without one."""
     attributes = dataset(file, path).attrs
     for name in ("units", "unit"):
-        for unit in np.ravel(attributes.get(name, ()))[:1]:
-            return factor_of(f"{column} [{text_of(unit)}]", column)
+        for value in np.ravel(attributes.get(name, ()))[:1]:
+            unit = f"{column} [{text_of(value)}]"
+            if has_other_unit(unit, column):
+                raise SceneError(
+                    f"{file.filename}: {path!r} has the unit {text_of(value)!r}, which is not known or not one of "
+                    f"{column}; give the factors to SI, such as units={{'length': 1e-3}} for mm, or units='SI'"
+                )
+            return factor_of(unit, column)
     return 1.0
 
 
