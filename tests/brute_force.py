@@ -11,17 +11,34 @@ import numpy as np
 X, W = np.polynomial.legendre.leggauss(64)
 
 
+def _lucy(q, spread):
+    return (1 - q) ** 3 * (1 + 3 * q)
+
+
+def _gaussian(q, spread):
+    return np.exp(-(q**2) / (2 * spread**2))
+
+
+def _shifted_gaussian(q, spread):
+    return _gaussian(q, spread) - _gaussian(1, spread)
+
+
+def _heaviside(q, spread):
+    return np.ones_like(q)
+
+
+# cutoff over width, and the profile of q = r / c, of the kernels of the package
+KERNELS = {
+    "lucy": (2.0, _lucy),
+    "gaussian": (3.0, _gaussian),
+    "shifted gaussian": (3.0, _shifted_gaussian),
+    "heaviside": (1.0, _heaviside),
+}
+
+
 def _profile(name, q, spread):
-    inside = q < 1
-    if name == "lucy":
-        return np.where(inside, (1 - q) ** 3 * (1 + 3 * q), 0.0)
-    if name == "gaussian":
-        return np.where(inside, np.exp(-(q**2) / (2 * spread**2)), 0.0)
-    if name == "shifted gaussian":
-        return np.where(
-            inside, np.exp(-(q**2) / (2 * spread**2)) - np.exp(-1 / (2 * spread**2)), 0.0
-        )
-    return np.where(inside, 1.0, 0.0)
+    _, profile = KERNELS[name]
+    return np.where(q < 1, profile(q, spread), 0.0)
 
 
 def _gauss(f, a, b):
@@ -36,7 +53,7 @@ class BruteKernel:
 
     def __init__(self, name, width, dimension=3, seen=3):
         self.name, self.seen, self.n = name, seen, dimension - seen
-        ratio = {"lucy": 2.0, "gaussian": 3.0, "shifted gaussian": 3.0, "heaviside": 1.0}[name]
+        ratio, _ = KERNELS[name]
         self.c, self.spread = ratio * width, 1 / ratio
         sphere = {1: 2.0, 2: 2 * math.pi, 3: 4 * math.pi}[dimension]
         total = _gauss(

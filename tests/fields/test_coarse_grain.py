@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import xcg
 from tests import planning, sharing_threads
-from tests.brute_force import BruteKernel, brute_force
+from tests.brute_force import KERNELS, BruteKernel, brute_force
 from tests.scenes import random_steps
 from xcg import SceneWarning
 from xcg.compiled.points import deposit
@@ -130,7 +130,7 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("kernel", ["lucy", "gaussian", "shifted gaussian", "heaviside"])
+@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize(("axes", "at"), CASES)
 def test_fields_in_3d_equal_brute_force(kernel, axes, at):
     ds = xcg.datasets.random_scene(60, periodic="xy", seed=3)
@@ -142,7 +142,7 @@ def test_fields_in_3d_equal_brute_force(kernel, axes, at):
     )
 
 
-@pytest.mark.parametrize("kernel", ["lucy", "gaussian", "shifted gaussian", "heaviside"])
+@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("axes", ["xy", "y"])
 def test_fields_in_2d_equal_brute_force(kernel, axes):
     ds = xcg.datasets.random_scene(60, periodic="x", dimension=2, seed=4, thickness=0.5)

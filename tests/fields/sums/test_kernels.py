@@ -3,6 +3,7 @@
 import math
 import re
 from itertools import pairwise
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -20,10 +21,10 @@ from xcg.compiled.lines import has_shells
 from xcg.compiled.polynomials import closed_for
 from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import SHELLS
-from xcg.fields.sums.kernels import kernel_of
+from xcg.fields.sums.kernels import KernelName, kernel_of
 from xcg.fields.sums.quadrature import gauss_limits
 
-NAMES = ["lucy", "gaussian", "shifted gaussian", "heaviside"]
+NAMES = get_args(KernelName)
 SPHERE = {1: 2.0, 2: 2 * np.pi, 3: 4 * np.pi}
 SEEN = [(k, m) for k in (1, 2, 3) for m in (1, 2, 3) if m <= k]
 
