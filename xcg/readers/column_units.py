@@ -37,6 +37,7 @@ _RUN_TOGETHER = {"kgm-3": "kg m-3", "kgm3": "kg m-3", "kgm2": "kg m2", "ms-1": "
 
 # endings that may mean something else: the centre of mass, a minimum, inside
 _AMBIGUOUS = {"cm", "min", "h", "in", "ft"}
+_NO_UNITS = {"-", "none", "dimensionless"}
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,14 @@ def unit_of(column: str) -> ColumnUnit | None:
         if match is not None and unit is not None and not is_ambiguous:
             return ColumnUnit(match[1].strip(), text, *unit, in_brackets=False)
     return None
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Return the name of a column with the unit that its metadata hold in brackets, unless it names one."""
+    is_unit = parse_unit(unit) is not None or re.fullmatch(r"[^\W\d]\S*", unit) is not None
+    if not is_unit or unit.lower() in _NO_UNITS or unit_of(name) is not None:
+        return name
+    return f"{name} [{unit}]"
 
 
 def names_unknown_unit(column: str) -> bool:

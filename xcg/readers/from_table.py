@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers.assigned import assign, magnitudes_among
 from xcg.readers.caller_names import CallerNames
+from xcg.readers.column_units import with_unit
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import (
     Table,
@@ -22,6 +23,7 @@ from xcg.readers.engines.tabular import (
     read_clock,
     warn_of_unread_clock,
 )
+from xcg.readers.files.table import way_of_words
 from xcg.readers.named_columns import columns_by_name
 from xcg.readers.order import cause_by_column, warn_if_none_recurs
 from xcg.readers.report import check_plane, list_not_read, report_missing_ids, warn_of_columns
@@ -301,7 +303,14 @@ def _with_vectors(
 
 def _table(data: Any, what: str) -> pd.DataFrame:
     """Return rows as a table whose index is a column if it has a name."""
-    if not isinstance(data, pd.DataFrame) and hasattr(data, "to_pandas"):
+    if isinstance(data, xr.Dataset):
+        named = {
+            name: with_unit(str(name), str(values.attrs.get("units", "")))
+            for name, values in data.variables.items()
+        }
+        rows = [name for name in data.dims if name not in data.coords]
+        data = data.to_dataframe().reset_index().drop(columns=rows).rename(columns=named)
+    elif not isinstance(data, pd.DataFrame) and hasattr(data, "to_pandas"):
         data = data.to_pandas()  # of pyarrow
     if isinstance(data, np.ndarray) and data.dtype.names:
         data = {name: data[name] for name in data.dtype.names}
@@ -424,5 +433,5 @@ def _numbers(data: pd.DataFrame, name: str, what: str) -> NDArray:
         return data[name].to_numpy(dtype="float64", na_value=np.nan)
     except (TypeError, ValueError) as error:
         raise SceneError(
-            f"{what}: column {name!r} holds other things than numbers ({error})"
+            f"{what}: column {name!r} holds other things than numbers ({error}); {way_of_words(name)}"
         ) from None

@@ -411,3 +411,62 @@ def test_fields_of_structs_in_parquet_are_columns(tmp_path):
     np.testing.assert_array_equal(ds.position[0], places)
     np.testing.assert_array_equal(ds.velocity[0], places)
     np.testing.assert_array_equal(ds.charge[0], 0.0)
+
+
+@pytest.mark.parametrize("kind", ["list", "large_list", "fixed"])
+def test_lists_in_parquet_are_vectors(tmp_path, kind):
+    pa = pytest.importorskip("pyarrow")
+    places = np.random.default_rng(1).random((4, 3))
+    types = {
+        "list": pa.list_(pa.float64()),
+        "large_list": pa.large_list(pa.float64()),
+        "fixed": pa.list_(pa.float64(), 3),
+    }
+    lists = {"position": places, "velocity": places[::-1], "neighbours": places}
+    columns = {name: pa.array(rows.tolist(), types[kind]) for name, rows in lists.items()}
+    table = pa.table({"id": np.arange(4), **columns, "radius": np.ones(4)})
+    fields = [
+        field.with_metadata({"units": "mm"}) for field in table.schema if field.name == "position"
+    ]
+    schema = table.schema.set(1, fields[0])
+    path = str(tmp_path / "grains.parquet")
+    pytest.importorskip("pyarrow.parquet").write_table(table.cast(schema), path, row_group_size=3)
+    ds = xcg.open_scene(path, density=1.0)
+    np.testing.assert_allclose(ds.position[0], places * 1e-3, rtol=1e-15)
+    np.testing.assert_array_equal(ds.velocity[0], places[::-1])
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "memory"])
+def test_species_that_are_words_name_two_ways(tmp_path, kind):
+    table = pd.DataFrame({"x": [0.0, 1.0], "y": 0.0, "z": 0.0, "radius": 0.1, "type": ["b", "a"]})
+    path = tmp_path / f"grains.{kind}"
+    source, read = path, xcg.open_scene
+    if kind == "memory":
+        source, read = table, xcg.scene_from_table
+    else:
+        getattr(table, f"to_{kind}")(path, index=False)
+    with pytest.raises(
+        xcg.SceneError, match=r"'type'.* names=\{'type': None\}.*factorize"
+    ) as error:
+        read(source, density=1.0).load()
+    call = str(error.value).partition("table of pandas, ")[2].partition(", for ")[0]
+    exec(call, {"table": table, "pandas": pd})
+    assert xcg.scene_from_table(table, density=1.0).species.values.tolist() == [[1, 0]]
+
+
+def test_variables_of_datasets_are_columns_with_units():
+    places = np.random.default_rng(1).random((2, 4))
+    per_step = xr.DataArray(places, dims=("time", "grain"), attrs={"units": "mm"})
+    columns = {"x": per_step, "y": 2 * per_step, "z": 3 * per_step}
+    columns = {name: values.assign_attrs(units="mm") for name, values in columns.items()}
+    columns["radius"] = ("grain", [5.0] * 4, {"units": "um"})
+    columns["id"] = ("grain", [4, 3, 2, 1], {"units": "1"})
+    table = xr.Dataset(columns, {"time": ("time", [1.0, 2.0], {"units": "ms"})})
+    ds = xcg.scene_from_table(table, density=1.0)
+    expected = places[:, ::-1, None] * [1e-3, 2e-3, 3e-3]
+    np.testing.assert_allclose(ds.position, expected, rtol=1e-15)
+    np.testing.assert_allclose(ds.diameter, 1e-5, rtol=1e-15)
+    np.testing.assert_allclose(ds.time, [1e-3, 2e-3], rtol=1e-15)
+    table.x.attrs["units"] = "furlong"
+    with pytest.raises(xcg.SceneError, match=r"x \[furlong\]"):
+        xcg.scene_from_table(table, density=1.0)

@@ -28,7 +28,7 @@ from xcg.common import memory
 from xcg.common.messages import SceneError
 from xcg.compiled._jit import THREADS
 from xcg.compiled.text import BEYOND, REST, read_rows
-from xcg.readers.column_units import parse_unit, unit_of
+from xcg.readers.column_units import with_unit
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import PIECE, Scanner, body_of, scanned, source_of, whole_lines
 
@@ -345,8 +345,16 @@ def _fault(
     elif last and words[0][:1].isalpha() and columns[0] in wanted:
         fault += f"; {_BELOW}"
     elif word[:1].isalpha() and word.casefold() != "nan":
-        fault += f"; a column of words is dropped by names={{{wrong!r}: None}}"
+        fault += f"; {way_of_words(wrong)}"
     return fault
+
+
+def way_of_words(column: str) -> str:
+    """Return what to do with a column of words, as the end of a message."""
+    return (
+        f"drop a column of words by names={{{column!r}: None}}, or number it in a table of pandas, table[{column!r}] = "
+        f"pandas.factorize(table[{column!r}], sort=True)[0], for xcg.scene_from_table(table)"
+    )
 
 
 # --- CSV: tables that name their columns in the first line -----------------------------------------------
@@ -707,9 +715,9 @@ def _opened(path: str) -> Iterator[Any]:
         ) from None
 
 
-def _columns_of_parquet(file: Any) -> dict[str, str]:
-    """Return the file's name of each column, by its name with the unit that its metadata hold, ``x [mm]``."""
-    columns = {}
+def _columns_of_parquet(file: Any) -> dict[str, tuple[str, int | None]]:
+    """Return the file's name of each column, and the place in its lists, by its name and unit, ``x [mm]``."""
+    columns: dict[str, tuple[str, int | None]] = {}
     for field in file.schema_arrow:
         for part in field.flatten():  # of position {x, y, z}: position.x, ...
             name = part.name
@@ -717,21 +725,39 @@ def _columns_of_parquet(file: Any) -> dict[str, str]:
                 name = name.replace(".", "_")
             metadata = part.metadata or {}
             unit = metadata.get(b"units", metadata.get(b"unit", b"")).decode()
-            if parse_unit(unit) is not None and unit_of(name) is None:
-                name = f"{name} [{unit}]"
-            columns[name] = part.name
+            if str(part.type).partition("<")[0].endswith("list"):  # of position [x, y, z]
+                for k, axis in enumerate("xyz"):
+                    columns[with_unit(f"{name}_{axis}", unit)] = (part.name, k)
+            else:
+                columns[with_unit(name, unit)] = (part.name, None)
     return columns
+
+
+def _read_parquet(file: Any, wanted: Sequence[str], groups: Sequence[int] | None = None) -> Any:
+    """Read columns by the names that `_columns_of_parquet` gives them, as a table of pyarrow."""
+    arrow = importlib.import_module("pyarrow")
+    compute = importlib.import_module("pyarrow.compute")
+    in_file = [_columns_of_parquet(file)[name] for name in wanted]
+    names = list({column: None for column, _ in in_file})
+    if groups is None:
+        groups = range(file.num_row_groups)
+    table = file.read_row_groups(list(groups), columns=names).flatten()
+    columns = []
+    for column, k in in_file:
+        values = table.column(column)
+        if k is not None:
+            values = compute.list_element(values, k)
+        columns.append(values)
+    return arrow.table(columns, names=list(wanted))
 
 
 def scan_parquet(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> TableIndex:
     """Read names of columns, number of rows, and the columns of times."""
     with _opened(path) as file:
-        in_file = _columns_of_parquet(file)
-        names = tuple(in_file)
+        names = tuple(_columns_of_parquet(file))
         wanted = sorted(set(clock_of(names).values()))
         rows = file.metadata.num_rows
-        columns = [in_file[name] for name in wanted]
-        table = file.read(columns=columns).flatten().select(columns).rename_columns(wanted)
+        table = _read_parquet(file, wanted)
         if wanted and table.num_rows != rows:
             raise SceneError(
                 f"{path}: {table.num_rows} rows, but its metadata promise {rows}; the file is damaged"
@@ -748,12 +774,8 @@ def read_parquet(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> d
             [0, *(file.metadata.row_group(k).num_rows for k in range(file.num_row_groups))]
         )
         groups = np.flatnonzero((edges[:-1] < stop) & (edges[1:] > first)).tolist()
-        in_file = _columns_of_parquet(file)
-        columns = [in_file[name] for name in wanted]
-        table = file.read_row_groups(groups, columns=columns).flatten().select(columns)
-        table = table.rename_columns(list(wanted))
         at = first - int(edges[groups[0]]) if groups else 0
-        table = table.slice(at, ref.rows)
+        table = _read_parquet(file, wanted, groups).slice(at, ref.rows)
         if table.num_rows != ref.rows:
             raise SceneError(
                 f"{source_of(ref)}: {table.num_rows} rows, but its metadata promise {ref.rows}; the file is damaged"
@@ -778,5 +800,5 @@ def _numbers(table: Any, name: str, source: str) -> NDArray:
         return np.asarray(column.to_numpy(), "float64")
     except (TypeError, ValueError):
         raise SceneError(
-            f"{source}: column '{name}' holds {column.type}, expected numbers"
+            f"{source}: column '{name}' holds {column.type}, expected numbers; {way_of_words(name)}"
         ) from None
