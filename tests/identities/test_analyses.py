@@ -51,3 +51,11 @@ def test_slices_of_lazy_series_equal_those_in_memory(name, steps):
     with guard:
         lazy = call(series(name).chunk(time=2).isel(time=SLICES[steps]))
     assert_same_bits(lazy.compute(), call(series(name).isel(time=SLICES[steps])))
+
+
+@pytest.mark.filterwarnings("ignore:.*granular_temperature is NaN")
+@pytest.mark.parametrize("name", [name for name in CALLS if name not in COMPUTED])
+def test_equal_calls_have_tasks_of_equal_names(name):
+    ds = series(name).isel(time=slice(3)).chunk(time=1)
+    first, second = CALLS[name](ds), CALLS[name](ds)
+    assert first.__dask_layers__() == second.__dask_layers__()

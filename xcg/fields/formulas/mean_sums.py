@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -324,18 +325,8 @@ def _compute(field: Field, needs: Mapping[str, xr.DataArray], options: Options) 
             )
     of_needs = [[dim for dim in dims if dim in need.dims] for need in needs.values()]
 
-    def plain(*arrays: NDArray) -> NDArray:
-        if field.across_phases:
-            arrays = tuple(
-                np.moveaxis(a, -len(core), 0) for a, core in zip(arrays, of_needs, strict=True)
-            )
-        fields = SimpleNamespace(**dict(zip(needs, arrays, strict=True)))
-        with np.errstate(all="ignore"):
-            values = field.compute(fields, None, options)
-        if field.across_phases:
-            return np.moveaxis(values, 0, -1 - field.rank)
-        return values
-
+    # neither a closure, which dask would name anew in each call, nor the graphs of what it needs
+    plain = partial(_compute_plain, field, tuple(needs), of_needs, options)
     if not needs:
         return xr.DataArray(plain())
     return xr.apply_ufunc(
@@ -346,3 +337,23 @@ def _compute(field: Field, needs: Mapping[str, xr.DataArray], options: Options) 
         dask="parallelized",
         output_dtypes=[float],
     )
+
+
+def _compute_plain(
+    field: Field,
+    needs: Sequence[str],
+    core_dims: Sequence[Sequence[str]],
+    options: Options,
+    *arrays: NDArray,
+) -> NDArray:
+    """Compute one field of the registry on arrays whose last dimensions are `core_dims`."""
+    if field.across_phases:
+        arrays = tuple(
+            np.moveaxis(a, -len(core), 0) for a, core in zip(arrays, core_dims, strict=True)
+        )
+    fields = SimpleNamespace(**dict(zip(needs, arrays, strict=True)))
+    with np.errstate(all="ignore"):
+        values = field.compute(fields, None, options)
+    if field.across_phases:
+        return np.moveaxis(values, 0, -1 - field.rank)
+    return values
