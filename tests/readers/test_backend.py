@@ -142,3 +142,9 @@ def test_only_files_that_an_engine_recognises_are_taken(files, tmp_path):
         assert not backend.guess_can_open(tmp_path / other)
     assert not backend.guess_can_open("https://example.org/p.vtp")
     assert not backend.guess_can_open(b"ITEM: TIMESTEP")
+
+
+@pytest.mark.parametrize("call", [xr.open_datatree, xr.open_groups])
+def test_trees_name_the_call_that_opens_a_scene(files, call):
+    with pytest.raises(xcg.SceneError, match=r"xarray.open_dataset\(..., engine='xcg'\)"):
+        call(files["particles"], engine="xcg")

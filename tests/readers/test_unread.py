@@ -84,6 +84,15 @@ def test_compressed_files_are_refused_by_what_they_hold(tmp_path):
         xcg.open_scene(tmp_path / "a.json.gz")
 
 
+@pytest.mark.parametrize(
+    "content", [b"\xf6\xff\xff\xff\xff\xff\xff\xffDUMPCUSTOM\1\0", b"\x89HDF\r\n\x1a\n\0"]
+)
+def test_compressed_binary_files_are_to_be_unpacked(tmp_path, content):
+    (tmp_path / "a.gz").write_bytes(gzip.compress(content))
+    with pytest.raises(xcg.SceneError, match=r"a\.gz is a compressed binary file.*unpack it"):
+        xcg.open_scene(tmp_path / "a.gz")
+
+
 def test_contacts_are_refused_beside_particles_that_are_read(tmp_path):
     (tmp_path / "p.csv").write_text("x,y,z\n0,0,0\n")
     np.save(tmp_path / "c.npy", np.eye(3))

@@ -40,6 +40,7 @@ _RIVALS = (
 )
 
 RAW = re.compile(r"[cf]_\w+(\[\d+\])?")  # columns of LAMMPS without names of their own
+_ID_AND_FORCE = 6  # columns of the shortest words of LIGGGHTS
 FEWEST_OF_LIGGGHTS = 12  # columns with positions, ids and forces; one compute of LAMMPS has fewer
 _WORDS_OF_COMPUTES = (
     ("patom1 patom2", ("contact_i", "contact_j")),
@@ -125,9 +126,12 @@ def lacks(ref: StepRef, what: str, slot: str) -> SceneError:
         f"for example names={{{mapping}}}"
     )
     numbered = [column for column in ref.columns if RAW.fullmatch(column) and "[" in column]
-    if slot in CONTACT_SLOTS and len(numbered) >= FEWEST_OF_LIGGGHTS:
+    if slot not in CONTACT_SLOTS or not numbered:
+        return SceneError(msg)
+    computes = {column.partition("[")[0] for column in numbered}
+    if len(computes) == 1 and len(numbered) >= _ID_AND_FORCE:
         msg += ". Files of LIGGGHTS are read by the words of their 'compute pair/gran/local', names='pos id force'"
-    elif slot in CONTACT_SLOTS and numbered:
+    if len(numbered) < FEWEST_OF_LIGGGHTS:
         rows = "".join(
             f"\n    {words:<14}{', '.join(slots)}" for words, slots in _WORDS_OF_COMPUTES
         )

@@ -10,6 +10,7 @@ from typing import Any
 import xarray as xr
 from xarray.backends import BackendEntrypoint
 
+from xcg.common.messages import SceneError
 from xcg.readers.engine import Engine
 from xcg.readers.open import open_scene
 from xcg.readers.paths import PathLike
@@ -62,6 +63,14 @@ class SceneBackend(BackendEntrypoint):
                 chunks["time"] = 1
             values.encoding["preferred_chunks"] = chunks
         return scene.drop_vars(drop_variables or [], errors="ignore")
+
+    def open_datatree(  # type: ignore[override]
+        self, filename_or_obj: PathLike, **options: Any
+    ) -> xr.DataTree:
+        """Raise SceneError: a scene is one Dataset."""
+        raise SceneError("a scene is one Dataset: xarray.open_dataset(..., engine='xcg') opens it")
+
+    open_groups_as_dict = open_datatree  # type: ignore[assignment]
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
         """Return whether an engine recognises a file by its content."""

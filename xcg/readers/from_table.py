@@ -304,12 +304,12 @@ def _with_vectors(
 def _table(data: Any, what: str) -> pd.DataFrame:
     """Return rows as a table whose index is a column if it has a name."""
     if isinstance(data, xr.Dataset):
-        named = {
+        columns = {
             name: with_unit(str(name), str(values.attrs.get("units", "")))
             for name, values in data.variables.items()
         }
         rows = [name for name in data.dims if name not in data.coords]
-        data = data.to_dataframe().reset_index().drop(columns=rows).rename(columns=named)
+        data = data.to_dataframe().reset_index().drop(columns=rows).rename(columns=columns)
     elif not isinstance(data, pd.DataFrame) and hasattr(data, "to_pandas"):
         data = data.to_pandas()  # of pyarrow
     if isinstance(data, np.ndarray) and data.dtype.names:

@@ -64,7 +64,7 @@ class Names:
 PARTICLES: Mapping[str, Names] = {
     "particle_id": Names(
         "particle id, track id, id, particle, particle number, particle no, label, tag, atom id, "
-        "grain id, grain, global id, particle identifier, id p",
+        "grain id, grain, ball id, global id, particle identifier, id p",
         "id =ids idx uid pid gid label* tag* number num no nr index serial identifier key",
     ),
     "species": Names(

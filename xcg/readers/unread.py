@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from xcg.common.messages import SceneError
 from xcg.readers.filenames import suffix_of
-from xcg.readers.files.text import scanned
+from xcg.readers.files.text import compression, scanned
 
 _HEAD = 1 << 12  # bytes that are looked at
 _ARRAYS = "xcg.scene_from_arrays"
@@ -199,5 +199,9 @@ def unread_format(path: str) -> UnreadFormat | None:
 def refuse_unread(path: str) -> None:
     """Raise SceneError if a file is of a format that is known and not read."""
     form = unread_format(path)
+    with scanned(path) as scanner:
+        is_binary = b"\0" in scanner.sample(_HEAD)
+    if is_binary and compression(path):
+        raise SceneError(f"{path} is a compressed binary file, which xcg does not read; unpack it")
     if form:
         raise SceneError(f"{path} is {form.what}, which xcg does not read; {form.way}")

@@ -362,7 +362,10 @@ def _way_to(missing: Set[str], present: Iterable[str]) -> str:
             f"ds.cg.find_contacts({stiffness}) first"
         )
     no_sizes = not {"diameter", "volume"} & set(present)
-    if no_sizes and missing & {"mass", "volume", "diameter", "moment_of_inertia"}:
+    lacks_size = no_sizes and missing & {"mass", "volume", "diameter", "moment_of_inertia"}
+    if lacks_size and "half_axis_x" in present:
+        return "ds.cg.derive_superquadric(density=...) gives them to ellipsoids and superquadrics, from their half-axes"
+    if lacks_size:
         return (
             "the files hold no sizes of the grains. Map their column in xcg.open_scene, names={'...': 'radius'} or "
             "'diameter', with density=; for grains of one size d, d = xr.full_like(ds.position[..., 0], 0.001) gives "

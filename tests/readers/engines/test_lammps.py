@@ -149,6 +149,7 @@ def test_times_follow_from_step_numbers(tmp_path):
         (dump_text(columns="id x z vy"), "no y of the position"),
         (dump_text(columns="id x y z vx vy"), "no z of the velocity"),
         (pairs_text(), "is this a file for contacts="),
+        ("ITEM: TIMESTEP\n0\nITEM: DIMENSION\n3\n", "a grid .* holds no particles"),
         ("ITEM: TIMESTEP\n0\nITEM: NUMB", "header of step 0 is cut off|NUMB"),
         ("1 2 3\n", "expected a line that begins with 'ITEM:'"),
         ("", "the file is empty"),

@@ -104,6 +104,16 @@ def test_columns_of_unknown_words_are_refused(tmp_path, words, match):
     assert "patom1" not in str(error.value)
 
 
+def test_few_columns_without_names_show_the_words_of_both_codes(tmp_path):
+    paths = write_run(tmp_path, "id force delta")
+    grains = paths["particles"].rename(tmp_path / "p.dump")
+    grains.write_text(dump_text(GRAINS, "id type x y z c_1 radius"))
+    with pytest.raises(SceneError, match=r"names='pos id force'(?s:.*)patom1 patom2"):
+        open_scene(grains, contacts=paths["contacts"])
+    ds = open_scene(grains, contacts=paths["contacts"], names="id force delta")
+    np.testing.assert_array_equal(ds.contact_force[0], [[-4, 1, 0]])
+
+
 @pytest.mark.parametrize(
     ("words", "match"),
     [

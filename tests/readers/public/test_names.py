@@ -43,6 +43,7 @@ def write_steps(folder, columns):
         "Particle ID",
         "particle_number",
         "ParticleId",
+        "ball_id",
         "Label",
         "particle",
         "Global-ID",

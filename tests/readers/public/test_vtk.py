@@ -482,6 +482,12 @@ def write_pvd(path, entries):
     return path
 
 
+def test_times_of_collections_with_decimal_commas_raise(tmp_path):
+    path = write_pvd(tmp_path / "out.pvd", [("0,5", 0, "a.vtp")])
+    with pytest.raises(xcg.SceneError, match=r"out\.pvd: timestep='0,5' is no finite number"):
+        xcg.open_scene(path, density=1.0)
+
+
 @pytest.mark.parametrize("kind", [vtkPolyData, vtkUnstructuredGrid])
 @pytest.mark.parametrize("ghosts", [False, True])
 def test_pieces_of_parallel_files_are_one_step(tmp_path, kind, ghosts):

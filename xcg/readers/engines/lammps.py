@@ -306,7 +306,9 @@ def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
     label = words[0] if words else ""
     columns = len(words) - 1
     kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
-    if (label == "ATOMS") is not atoms:
+    if label in ("DIMENSION", "GRID"):
+        msg = "a grid (dump grid) holds no particles; open the files of 'dump custom'"
+    elif (label == "ATOMS") is not atoms:
         msg = f"found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
     elif ref.rows < 0:
         msg = "the header does not say how many rows follow ('ITEM: NUMBER OF ...')"

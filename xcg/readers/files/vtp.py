@@ -408,7 +408,13 @@ def read_collection(path: str) -> list[tuple[tuple[str, ...], float | None]]:
     for tag in xml.named("DataSet"):
         if not tag.get("file") or "\0" in tag["file"]:
             continue
-        time = _time(tag.get("timestep", ""))
+        words = tag.get("timestep", "").strip()
+        time = _time(words)
+        if words and time is None:
+            raise SceneError(
+                f"{path}: timestep={words!r} is no finite number; correct it, or open the files that it lists, in a "
+                "list with times=[...]"
+            )
         part = (time, tag.get("group", ""), tag.get("part", "0"))
         steps.setdefault((time, times_listed[part]), []).append(_beside(path, tag["file"]))
         times_listed[part] += 1

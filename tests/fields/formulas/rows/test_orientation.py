@@ -195,6 +195,8 @@ def test_superquadrics_without_shape_variables_raise():
         ds.cg.derive_superquadric()
     with pytest.raises(xcg.SceneError, match="half_axis_x"):
         ds.drop_vars("half_axis_x").cg.derive_superquadric(density=1.0)
+    with pytest.raises(xcg.SceneError, match=r"derive_superquadric\(density=...\) gives them"):
+        ds.cg.coarse_grain("density", axes="")
 
 
 @pytest.mark.filterwarnings("ignore:width=.* is larger than the scene")
