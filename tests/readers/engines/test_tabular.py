@@ -399,6 +399,17 @@ def test_units_in_the_metadata_of_parquet_are_read(tmp_path, key):
     assert given.position[0, 0].values.tolist() == [1.0, 1.0, 1.0]
 
 
+def test_metadata_of_parquet_that_are_no_text_are_no_unit(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    fields = [
+        pa.field(name, pa.float64(), metadata={"units": b"\xff\xfe"}) for name in ("x", "y", "z")
+    ]
+    table = pa.table([np.arange(2.0)] * 3, schema=pa.schema(fields))
+    path = str(tmp_path / "grains.parquet")
+    pytest.importorskip("pyarrow.parquet").write_table(table, path)
+    assert xcg.open_scene(path).position.values.tolist() == [[[0.0] * 3, [1.0] * 3]]
+
+
 def test_fields_of_structs_in_parquet_are_columns(tmp_path):
     pa = pytest.importorskip("pyarrow")
     places = np.random.default_rng(1).random((4, 3))

@@ -724,7 +724,7 @@ def _columns_of_parquet(file: Any) -> dict[str, tuple[str, int | None]]:
             if name != field.name:
                 name = name.replace(".", "_")
             metadata = part.metadata or {}
-            unit = metadata.get(b"units", metadata.get(b"unit", b"")).decode()
+            unit = metadata.get(b"units", metadata.get(b"unit", b"")).decode(errors="replace")
             if str(part.type).partition("<")[0].endswith("list"):  # of position [x, y, z]
                 for k, axis in enumerate("xyz"):
                     columns[with_unit(f"{name}_{axis}", unit)] = (part.name, k)
