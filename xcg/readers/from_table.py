@@ -340,8 +340,11 @@ def _by_component(columns: Mapping[str, Any]) -> dict[str, Any]:
     """Return columns with vectors (rows, 2 or 3) as one column each component, ``position_x``, ..."""
     out: dict[str, Any] = {}
     for name, values in columns.items():
-        if np.ndim(values) == 2 and np.shape(values)[1] in (2, 3):
-            out |= {f"{name}_{a}": x for a, x in zip("xyz", np.transpose(values), strict=False)}
+        rows = values
+        if isinstance(values, list | tuple):
+            rows = np.array(values, object)  # as its items may differ in length
+        if np.ndim(rows) == 2 and np.shape(rows)[1] in (2, 3):
+            out |= {f"{name}_{a}": x for a, x in zip("xyz", np.asarray(values).T, strict=False)}
         else:
             out[name] = values
     return out

@@ -371,6 +371,14 @@ def test_vectors_of_mappings_and_structured_arrays_are_columns_by_component(form
     np.testing.assert_array_equal(ds.velocity[0], rows["velocity"][order])
 
 
+def test_mappings_hold_labelled_vectors_beside_lists_of_any_length():
+    places = np.random.default_rng(1).random((2, 3))
+    of_rows = {"id": [0, 1], "radius": 0.1, "neighbour_ids": [[1], [0, 1]]}
+    for position in (xr.DataArray(places, dims=("row", "axis")), places.tolist()):
+        ds = xcg.scene_from_table({**of_rows, "position": position}, density=1.0)
+        np.testing.assert_array_equal(ds.position[0], places)
+
+
 def test_two_columns_of_one_name_raise():
     table = pd.DataFrame(
         [[0, 0.0, 1.0, 0.0, 0.1, 0.2]], columns=["id", "x", "y", "z", "radius", "x"]
