@@ -7,13 +7,13 @@ shows what a scene holds.
 Names are loaded when they are first used, from the modules that ``__init__.pyi`` and ``accessor.pyi`` list.
 """
 
-from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
 import lazy_loader
 import xarray as xr
 
+from xcg.accessor import Accessor
 from xcg.common.stubs import modules_of, public_names, read_stub
 
 __version__ = version("xcg")
@@ -66,16 +66,4 @@ def __dir__() -> list[str]:
     return [*__all__, "__version__"]
 
 
-class _Accessor:
-    """``ds.cg``, made anew at each use.
-
-    An accessor that xarray registers is kept by its Dataset, which it holds in turn: arrays of a
-    Dataset that nobody needs any more would stay until Python looks for such circles.
-    """
-
-    def __get__(self, ds: xr.Dataset | None, kind: type) -> Any:
-        accessor = import_module("xcg.accessor").CoarseGrainAccessor
-        return accessor if ds is None else accessor(ds)
-
-
-xr.Dataset.cg = _Accessor()  # type: ignore[attr-defined]
+xr.Dataset.cg = Accessor()  # type: ignore[attr-defined]

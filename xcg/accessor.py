@@ -165,3 +165,16 @@ def _add_methods() -> None:
 
 
 _add_methods()
+
+
+class Accessor:
+    """``ds.cg``, made anew at each use.
+
+    An accessor that xarray registers is kept by its Dataset, which it holds in turn: arrays of a
+    Dataset that nobody needs any more would stay until Python looks for such circles.
+    """
+
+    def __get__(self, ds: xr.Dataset | None, kind: type) -> Any:
+        if ds is None:
+            return CoarseGrainAccessor
+        return CoarseGrainAccessor(ds)

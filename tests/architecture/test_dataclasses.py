@@ -9,6 +9,7 @@ import xcg
 from tests.architecture import PACKAGE, nodes_of_package
 from xcg.fields.choice import requested_options
 from xcg.fields.formulas.tracing import program_for
+from xcg.fields.layout import kernels_of, nodes_of
 from xcg.fields.request import Request
 from xcg.scene.scene import Scene
 
@@ -41,7 +42,10 @@ def test_options_equal_themselves_in_another_process(size):
     ds = xcg.datasets.simple_cubic(3)
     if size == "d43":
         ds = ds.drop_vars("diameter").drop_attrs(deep=False).assign_attrs(periodic="xyz")
-    options = requested_options(Scene(ds), Request(size=size))
+    scene = Scene(ds)
+    request = Request(size=size, width=1.0)
+    nodes = nodes_of(scene, request, kernels_of(scene, request))
+    options = requested_options(scene, request, nodes)
     assert (options.diameter is None) == (size == "d43")
     again = pickle.loads(pickle.dumps(options))
     assert again == options

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from xcg.fields.coarse_grain import answer, planned, prepare
+from xcg.fields.coarse_grain import answer, prepare
 from xcg.fields.grids.frames import refuse_cylindrical
+from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, units_in
@@ -241,7 +242,7 @@ def balance(scene: Scene, request: BalanceRequest) -> xr.Dataset:
     if request.by:
         fields |= dict.fromkeys(OF_PHASES)
     of_fields = request.as_request(fields=[*fields], width=request.width, for_averages=False)
-    plan = planned(scene, of_fields)
+    plan = make_plan(scene, of_fields)
     nodes = plan.nodes
     if not nodes.axes:
         raise ValueError(

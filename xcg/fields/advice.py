@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 
 from xcg.common.compat import is_in_memory
 from xcg.common.messages import active_call, warn_once, warn_user
+from xcg.compiled.points import FLUCTUATION
 from xcg.fields.formulas.doubts import UNKNOWN
 from xcg.fields.formulas.field import Support
 from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR, UNIT_OF_RATES
 from xcg.fields.formulas.rules import takes_stress_of_step
-from xcg.fields.layout import LARGE, about_strays, takes_gradient
+from xcg.fields.formulas.variables import OwnField
+from xcg.fields.layout import LARGE, about_strays, about_width, takes_gradient
 from xcg.fields.plan import Plan
 from xcg.fields.pressures import Pressures, pressures_of, spread_of_contacts
 from xcg.fields.sums.kernels import Kernel
@@ -35,7 +37,6 @@ from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, PADDING, Frame
 from xcg.scene.times import times_are_known
 
-_WIDE = 300  # largest diameters; a width beyond is in another unit, most likely
 _MANY = 1000  # nodes a particle, of a mesh that was laid around the particles
 _LONG = 50.0  # extents of the scene by which extent= is in another unit, most likely
 # Ratio of the largest to the smallest mass above which the bulk's temperature is off by 5 % or more
@@ -95,7 +96,9 @@ def advise_on_steps(scene: Scene, plan: Plan, *, named: bool) -> None:
     plan.named = named
     if "velocity" in plan.variables and scene.setup.periodic and scene.ds.sizes["time"] > 1:
         plan.stretch = _stretch_of(scene)
-    if _depends_on_support(plan):
+    has_floor = any(plan.definitions[name].floor is not None for name in plan.requested)
+    has_squares = any(moment.level == FLUCTUATION for moment in plan.moments.values())
+    if has_floor or has_squares or "segregation_flux" in plan.requested:
         plan.support = support_of(scene, plan)
     if plan.undercut is not None:  # `advise` has warned of the cause
         return
@@ -129,18 +132,6 @@ def _stretch_of(scene: Scene) -> NDArray | None:
     return np.stack([rates.min(axis=0), rates.max(axis=0)], axis=1)
 
 
-def _depends_on_support(plan: Plan) -> bool:
-    """Return whether a requested field of single steps depends on how many grains a node sees."""
-    options = plan.options
-    fields = [plan.definitions[name] for name in plan.requested]
-    follows_grains = {*_OF_ONE_VARIANCE, "segregation_flux"}
-    if plan.about_means or follows_grains & {*plan.requested}:
-        return True
-    if any(field.floor is not None for field in fields):
-        return True
-    return any(takes_stress_of_step(field, options) for field in fields)
-
-
 # --- of all plans ----------------------------------------------------------------------------------
 
 
@@ -153,32 +144,6 @@ def _warn_of_unknown_gradients(plan: Plan) -> None:
             "from: resolve the axis that it varies along, axes='z' for example, and average the result"
         )
         warn_once("unknown gradients", text)
-
-
-def about_width(scene: Scene, width: float, undercut: str | None) -> str:
-    """Return why a width (m) is hardly meant, "" if it may be; `undercut` as in a plan."""
-    sizes = scene.sizes
-    largest = sizes.get("dmax", math.inf)
-    extent = math.inf
-    if scene.corners is not None:
-        lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
-        extent = max(*lengths, *scene.periods.values())
-    if width > _WIDE * largest:
-        return f"width={width:.4g} is {width / largest:.2g} largest diameters; check the unit of lengths"
-    if width > extent > 0 and extent > 2 * largest:
-        return (
-            f"width={width:.4g} is larger than the scene, whose grains extend over {extent:.4g}: fields hardly vary, "
-            "and most of the kernel is outside; check the unit of lengths (the usual choice is 0.75 mean diameters)"
-        )
-    if undercut is None:
-        return ""
-    size = sizes[undercut]
-    whose = {"d43": "the grains", "dmax": "the largest grains", "dmin": "the smallest grains"}
-    return (
-        f"width={width:.4g} is {width / size:.2g} of the diameter of {whose[undercut]} ({size:.4g}): the "
-        "kernel sees the inside of single grains, and no field of a continuum (volume fractions far above 1, "
-        "too few particles per node); the usual choice is 0.75 mean diameters, see the page on width"
-    )
 
 
 def _warn_of_cuts(scene: Scene, plan: Plan) -> None:
@@ -330,7 +295,6 @@ class ComputedStep:
         plan = self.plan
         if plan.undercut is not None:  # the call has warned of the cause
             return
-        call = active_call()
         effects: dict[str, str] = {}
         with _TURN:
             temperatures = [name for name in _TEMPERATURES if name in self.fields]
@@ -341,6 +305,7 @@ class ComputedStep:
             # extent=1 m asks for an integral in place of an average: no warning
             if "volume_fraction" in self.fields and 1.0 not in plan.extent.values():
                 effects |= self._fraction()
+            call = active_call()
             if plan.stretch is not None and call.is_new("stretch"):
                 self._warn_of_moving_edges(plan.stretch)
             if plan.support is not None and call.is_new("pressures"):
@@ -348,8 +313,7 @@ class ComputedStep:
                 effects |= self._lost_flux()
                 self._warn_of_flow_in_temperatures()
                 self._warn_of_lost_variances()
-            is_new = not call.has_asked(f"few grains: {_FLOORS}")
-            if plan.support is not None and (plan.named or effects) and is_new:
+            if plan.support is not None and (plan.named or effects):
                 effects |= self._floors(plan.support)
             texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
             if texts:
@@ -366,7 +330,12 @@ class ComputedStep:
         )
 
     def _floors(self, support: Support) -> dict[str, str]:
-        """Return which norms and eigenvalues are noise, unless all are small or contradict the step."""
+        """Return which norms and eigenvalues are noise, unless all are small or contradict the step.
+
+        None are returned where the call has named those of a step before.
+        """
+        if active_call().has_asked(f"few grains: {_FLOORS}"):
+            return {}
         if {*_OF_READ_CONTACTS} & {*self.plan.requested}:
             branches, forces = spread_of_contacts(self.frame, self.lattice)
             support = replace(support, branch_spread=branches, tangential=forces)
@@ -582,7 +551,10 @@ class ComputedStep:
         support = self.plan.support
         assert support is not None
         lost = {}
-        for field in self.plan.about_means:
+        for field in self.plan.options.own:
+            is_quantity = isinstance(field, OwnField) and field.name in self.plan.requested
+            if not (is_quantity and field.follows_mean):
+                continue
             share = 1 / (support.contacts if field.at_contacts else support.grains)
             if share > _CONSIDERABLE:
                 lost[field.name] = f"{field.name} lacks about {100 * share:.0f} % of it"

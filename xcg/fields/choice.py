@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import OF_CALLS, Field, Options, Quantity
@@ -17,8 +19,11 @@ from xcg.fields.formulas.variables import OwnField, check_turns, own_field, own_
 from xcg.fields.grids.grid import check_axes
 from xcg.fields.request import Per, Request
 from xcg.fields.sums.moments import Moment
+from xcg.fields.sums.nodes import Nodes
 from xcg.scene.scene import Scene
-from xcg.scene.schema import CONTACT_VARIABLES
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES
+
+_OF_FORMULAS = (*OF_CALLS, "friction", "by", "temperature")  # options that are arguments
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +37,8 @@ class ChosenFields:
     options: Options
 
 
-def choose_fields(scene: Scene, request: Request) -> ChosenFields:
-    """Choose the fields of a request.
+def choose_fields(scene: Scene, request: Request, nodes: Nodes) -> ChosenFields:
+    """Choose the fields of a request at some nodes.
 
     Raises
     ------
@@ -46,7 +51,7 @@ def choose_fields(scene: Scene, request: Request) -> ChosenFields:
         raise ValueError(
             "by_pair=True splits stress by pairs of phases: name their variable, such as by='species'"
         )
-    options = requested_options(scene, request)
+    options = requested_options(scene, request, nodes)
     names, own = _named(request.fields, scene, options)
     if own and scene.cylindrical:
         check_turns(own)
@@ -94,7 +99,8 @@ def _refuse(scene: Scene, names: Sequence[str], needed: Set[str], options: Optio
 
 def possible_fields(scene: Scene, request: Request) -> tuple[str, ...]:
     """Return the names of the fields that the scene's variables allow: the fields of a request without names."""
-    return _possible(scene, requested_options(scene, request))
+    options = Options(**{name: getattr(request, name) for name in _OF_FORMULAS})
+    return _possible(scene, options)
 
 
 def _possible(scene: Scene, options: Options) -> tuple[str, ...]:
@@ -234,7 +240,7 @@ def _read_by(moments: Mapping[str, Moment], here: Set[str]) -> set[str]:
     return needed
 
 
-def requested_options(scene: Scene, request: Request) -> Options:
+def requested_options(scene: Scene, request: Request, nodes: Nodes) -> Options:
     """Return the options of the algebra; raise ValueError if one is wrong."""
     setup = scene.setup
     size = request.size
@@ -247,24 +253,24 @@ def requested_options(scene: Scene, request: Request) -> Options:
         raise ValueError(
             f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
         )
-    axes = request.axes_of(setup.plane)
-    at = request.at or {}
-    averaged: set[str] = set()
-    if isinstance(axes, Iterable):
-        averaged = {*setup.plane} - {*axes} - at.keys()
+    averaged = {*nodes.averaged}
     derivatives = "zero"
     if "lattice_velocity" in scene.columns and averaged & {*setup.periodic}:
         derivatives = "box"
     elif averaged == {*setup.plane} and not averaged <= {*setup.periodic} and not scene.cylindrical:
         derivatives = "unknown"
-    temperature: str = request.temperature
-    if request.by is not None and temperature == "unbiased":
-        temperature = "mixture"
+    options = {name: getattr(request, name) for name in _OF_FORMULAS}
+    if request.by is not None and request.temperature == "unbiased":
+        options["temperature"] = "mixture"
+    x, y, z = (nodes.spacing.get(a, 0.0) for a in COMPONENTS)
     return Options(
-        **{name: getattr(request, name) for name in (*OF_CALLS, "friction", "by")},
+        **options,
         plane=tuple(setup.axes),
+        active=tuple(nodes.active.tolist()),
+        shape=nodes.shape,
+        spacing=(x, y, z),
+        wrapped=nodes.fills(np.array(scene.lasting_periods)),
         diameter=scene.sizes.get(size),
-        temperature=temperature,
         lag=scene.lag,
         averaged_gradient=derivatives,
     )

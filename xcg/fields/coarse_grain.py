@@ -10,11 +10,10 @@ from typing import Any, TypeVar
 import xarray as xr
 
 from xcg.fields.accessible import accessible_of, walls_of, with_accessible
-from xcg.fields.advice import about_width, advise, advise_on_steps
+from xcg.fields.advice import advise, advise_on_steps
 from xcg.fields.evaluate import CoarseGraining
 from xcg.fields.grids.frames import Cylindrical, Rotated, check_axis, in_frame
-from xcg.fields.grids.grid import MeshTooLargeError
-from xcg.fields.layout import LARGE, about_strays, check_size, kernels_of, undercut_size
+from xcg.fields.layout import LARGE, check_size
 from xcg.fields.like import request_like, with_nodes_of
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.presets import lammps, pysammos
@@ -90,7 +89,7 @@ def answer(
     Parameters
     ----------
     plan : Plan, optional
-        That of the request, see `planned`, where there is one.
+        That of the request, where there is one.
     of_steps : bool
         Whether the fields are those of single steps for the user, with advice on these.
     """
@@ -107,7 +106,10 @@ def answer(
     if preset is not None:
         request, rename = PRESETS[preset](scene, request)
     if plan is None:
-        plan = planned(scene, request)
+        plan = make_plan(scene, request)
+    if plan.nodes.count >= LARGE:
+        numbers = sum(map(math.prod, plan.shapes.values()))
+        check_size(scene, request, plan.nodes, numbers)
     advise(scene, plan)
     if of_steps:
         advise_on_steps(scene, plan, named=named)
@@ -119,40 +121,6 @@ def answer(
     if preset is not None:
         result = rename(result)
     return result
-
-
-def planned(scene: Scene, request: Request) -> Plan:
-    """Plan a request in the axes of the scene.
-
-    Raises
-    ------
-    SceneError, ValueError
-        As `make_plan`; or if an automatic mesh is too large, with the particles that are far from
-        the others.
-    """
-    try:
-        plan = make_plan(scene, request)
-    except MeshTooLargeError as error:
-        raise ValueError(_too_large(scene, request, error)) from None
-    if plan.nodes.count >= LARGE:
-        numbers = sum(map(math.prod, plan.shapes.values()))
-        check_size(scene, plan.nodes, numbers, by_sizes=_by_sizes(request))
-    return plan
-
-
-def _by_sizes(request: Request) -> bool:
-    """Return whether width and spacing follow from the sizes of the grains."""
-    return request.width is request.spacing is None and isinstance(request.kernel, str)
-
-
-def _too_large(scene: Scene, request: Request, error: MeshTooLargeError) -> str:
-    """Return the message about a mesh of too many nodes, with its likely cause."""
-    way_out = about_strays(scene)
-    if _by_sizes(request):
-        way_out = f"check that sizes and positions have one unit; {way_out}"
-    width = min(kernel.width for kernel in kernels_of(scene, request))
-    cause = about_width(scene, width, undercut_size(scene, request, width))
-    return "; ".join(filter(None, [str(error), cause, way_out]))
 
 
 @takes(Request)

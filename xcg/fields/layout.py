@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.grids.frames import Cylindrical
-from xcg.fields.grids.grid import make_grid
+from xcg.fields.grids.grid import MeshTooLargeError, make_grid
 from xcg.fields.grids.points import make_points
 from xcg.fields.grids.rings import letters_of, make_rings
 from xcg.fields.request import Request
@@ -24,6 +25,7 @@ from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS, PADDING, known_without_reading
 
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
+_WIDE = 300  # largest diameters; a width beyond is in another unit, most likely
 
 
 def nodes_of(scene: Scene, request: Request, kernels: Sequence[Kernel]) -> Nodes:
@@ -197,6 +199,32 @@ def undercut_size(scene: Scene, request: Request, width: float) -> str | None:
     return next((s for s in compared if s in sizes and width < _NARROW * sizes[s]), None)
 
 
+def about_width(scene: Scene, width: float, undercut: str | None) -> str:
+    """Return why a width (m) is hardly meant, "" if it may be; `undercut` as in a plan."""
+    sizes = scene.sizes
+    largest = sizes.get("dmax", math.inf)
+    extent = math.inf
+    if scene.corners is not None:
+        lengths = [high - low for low, high in zip(*scene.corners, strict=True)]
+        extent = max(*lengths, *scene.periods.values())
+    if width > _WIDE * largest:
+        return f"width={width:.4g} is {width / largest:.2g} largest diameters; check the unit of lengths"
+    if width > extent > 0 and extent > 2 * largest:
+        return (
+            f"width={width:.4g} is larger than the scene, whose grains extend over {extent:.4g}: fields hardly vary, "
+            "and most of the kernel is outside; check the unit of lengths (the usual choice is 0.75 mean diameters)"
+        )
+    if undercut is None:
+        return ""
+    size = sizes[undercut]
+    whose = {"d43": "the grains", "dmax": "the largest grains", "dmin": "the smallest grains"}
+    return (
+        f"width={width:.4g} is {width / size:.2g} of the diameter of {whose[undercut]} ({size:.4g}): the "
+        "kernel sees the inside of single grains, and no field of a continuum (volume fractions far above 1, "
+        "too few particles per node); the usual choice is 0.75 mean diameters, see the page on width"
+    )
+
+
 def check_differentiable(kernel: Kernel) -> None:
     """Raise ValueError for gradients of a kernel that has none."""
     if kernel.code == kinds.HEAVISIDE:
@@ -210,13 +238,22 @@ _LARGEST = 100_000_000  # nodes, of such a mesh, whose width and spacing follow 
 _MIDDLE = 0.98  # share of the particles that the others are compared with
 
 
-def check_size(scene: Scene, grid: Nodes, numbers: int, *, by_sizes: bool = False) -> None:
-    """Raise ValueError unless an automatic mesh, with so many numbers of fields a step, fits into the memory at hand.
+def too_large(scene: Scene, request: Request, width: float, error: MeshTooLargeError) -> str:
+    """Return the message about a mesh of too many nodes, with its likely cause."""
+    causes = [str(error), about_width(scene, width, undercut_size(scene, request, width))]
+    if _by_sizes(request):
+        causes.append("check that sizes and positions have one unit")
+    causes.append(about_strays(scene))
+    return "; ".join(filter(None, causes))
 
-    Parameters
-    ----------
-    by_sizes : bool
-        Whether neither a width nor a spacing was given, so that both follow from the grains' sizes.
+
+def _by_sizes(request: Request) -> bool:
+    """Return whether width and spacing follow from the sizes of the grains."""
+    return request.width is request.spacing is None and isinstance(request.kernel, str)
+
+
+def check_size(scene: Scene, request: Request, grid: Nodes, numbers: int) -> None:
+    """Raise ValueError unless an automatic mesh, with so many numbers of fields a step, fits into the memory at hand.
 
     Raises
     ------
@@ -224,7 +261,7 @@ def check_size(scene: Scene, grid: Nodes, numbers: int, *, by_sizes: bool = Fals
         If the fields of one chunk do not fit into memory, or a mesh that follows from sizes alone
         has more than 1e8 nodes; particles that are far from the others are named.
     """
-    if by_sizes and grid.count > _LARGEST:
+    if _by_sizes(request) and grid.count > _LARGEST:
         raise ValueError(
             f"the automatic mesh would have {' x '.join(map(str, grid.sizes))} nodes, more than {_LARGEST:g}, as its "
             f"spacing is 0.75 mean diameters (d43 = {scene.sizes.get('d43', np.nan):.4g}): check that sizes and "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,12 +16,13 @@ from xcg.compiled.segments import RULES
 from xcg.fields.choice import choose_fields
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options, Support
-from xcg.fields.formulas.variables import OwnField
+from xcg.fields.grids.grid import MeshTooLargeError
 from xcg.fields.layout import (
     check_differentiable,
     extents_of,
     kernels_of,
     nodes_of,
+    too_large,
     undercut_size,
 )
 from xcg.fields.request import Request
@@ -172,12 +173,6 @@ class Plan:
         """Leave out the definitions: other processes look them up, as formulas travel by their names."""
         return {name: value for name, value in vars(self).items() if name != "definitions"}
 
-    @property
-    def about_means(self) -> list[OwnField]:
-        """Return the requested quantities that are about the mean at a node."""
-        own = [field for field in self.options.own if isinstance(field, OwnField)]
-        return [field for field in own if field.name in self.requested and field.follows_mean]
-
     @cached_property
     def attrs(self) -> dict[str, Any]:
         """Attributes of the result: nodes, kernel and options."""
@@ -287,17 +282,21 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     SceneError
         If the scene lacks variables that the fields need.
     ValueError
-        If an argument is wrong.
+        If an argument is wrong, or the mesh has too many nodes; the message then names particles
+        that are far from the others.
     """
     scene.require((), "coarse_grain")
     rtol = request.rtol
     by = request.by
-    chosen = choose_fields(scene, request)
-    moments = chosen.moments
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     narrowest = min(k.width for k in kernels)
-    nodes = nodes_of(scene, request, kernels)
+    try:
+        nodes = nodes_of(scene, request, kernels)
+    except MeshTooLargeError as error:
+        raise ValueError(too_large(scene, request, narrowest, error)) from None
+    chosen = choose_fields(scene, request, nodes)
+    moments = chosen.moments
     if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & moments.keys():
         check_differentiable(widest)
     limits = np.zeros(0)
@@ -306,21 +305,13 @@ def make_plan(scene: Scene, request: Request) -> Plan:
     groups: tuple[int, ...] = ()
     if by is not None or request.groups is not None:
         groups = scene.groups(by, request.groups)
-    x, y, z = (nodes.spacing.get(a, 0.0) for a in COMPONENTS)
-    options = replace(
-        chosen.options,
-        active=tuple(nodes.active.tolist()),
-        shape=nodes.shape,
-        spacing=(x, y, z),
-        wrapped=nodes.fills(np.array(scene.lasting_periods)),
-    )
     return Plan(
         fields=chosen.fields,
         requested=chosen.requested,
         variables=chosen.variables,
         moments=moments,
         nodes=nodes,
-        options=options,
+        options=chosen.options,
         kernels=tuple(kernels),
         limits=limits,
         coarse=limits.size > 0 and rtol >= SINGLE,
