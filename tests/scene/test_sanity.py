@@ -221,8 +221,21 @@ def test_a_layer_taken_as_a_volume_warns(layer):
     (message,) = said(position[:, [0, 2, 1]], diameter=diameter, **SCALED)
     assert "dimension=2, plane='xz'" in message
     assert not said(position, diameter=diameter, dimension=2, **SCALED)
+    (message,) = said(position[:, [0, 2, 1]], diameter=diameter, dimension=2, **SCALED)
+    assert "give plane='xz'" in message
+    assert not said(position[:, [0, 2, 1]], diameter=diameter, dimension=2, plane="xz", **SCALED)
     # a box as thick as the grains is meant as their layer
     assert not said(position, diameter=diameter, box={"z": (-0.6, 0.6)}, **SCALED)
+
+
+def test_a_volume_taken_as_a_layer_warns(chute):
+    position, diameter, box = chute
+    (message,) = said(position, diameter=diameter, box=box, dimension=2, periodic="xy", **SCALED)
+    assert "leave dimension=2 out" in message
+    uneven = position * [1, 1, 0] + [0, 0, 1] * diameter[:, None] / 2  # spheres that lie on a floor
+    assert not any(
+        "one layer" in text for text in said(uneven, diameter=diameter, dimension=2, **SCALED)
+    )
 
 
 # --- masses, times, headers ------------------------------------------------------------------------------

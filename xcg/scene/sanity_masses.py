@@ -127,24 +127,33 @@ def _discs(grains: Particles) -> str | None:
 
 
 def _layer(grains: Particles) -> str | None:
-    """Check that grains of a volume do not all lie in a plane.
+    """Check that grains of a volume do not all lie in a plane, and that those of a layer lie in its plane.
 
     A box of at most three diameters across the plane is the layer's thickness.
     """
-    if grains.is_volume or grains.setup.dimension == 2 or grains.count < FEW:
+    if grains.is_volume or grains.count < FEW:
         return None
-    flat = np.flatnonzero(np.ptp(grains.sample["position"], axis=0) == 0)
     position = grains.frame["position"]
-    if len(flat) != 1 or np.ptp(position[:, flat[0]]):
+    lengths = np.ptp(position, axis=0)
+    flat = np.flatnonzero(lengths == 0)
+    plane = "".join(COMPONENTS[k] for k in range(3) if k not in flat)
+    if grains.setup.dimension == 2:
+        depth = sum(lengths[k] for k in range(3) if COMPONENTS[k] not in grains.setup.plane)
+        if not depth > _FLAT_BOX * grains.diameter:
+            return None
+        way = f"give plane={plane!r}" if len(flat) == 1 else "leave dimension=2 out"
+        return (
+            f"the scene is one layer in the plane {grains.setup.plane!r}, and grains are up to {depth:.4g} apart "
+            f"across it: {way}, or select the grains of one layer"
+        )
+    if len(flat) != 1:
         return None
     low, high = grains.edges.get(flat[0], (-np.inf, np.inf))
     if high - low <= _FLAT_BOX * grains.diameter:
         return None
-    axis = COMPONENTS[flat[0]]
-    plane = "".join(a for a in COMPONENTS if a != axis)
     named = "" if plane == "xy" else f", plane={plane!r}"
     return (
-        f"all {grains.count} grains have {axis} = {position[0, flat[0]]:g}, and the scene is taken as "
+        f"all {grains.count} grains have {COMPONENTS[flat[0]]} = {position[0, flat[0]]:g}, and the scene is taken as "
         f"three-dimensional: give dimension=2{named} if it is one layer, with thickness= where volumes matter"
     )
 
