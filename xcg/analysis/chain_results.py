@@ -209,7 +209,12 @@ def _with_dimension_of_time(fc: xr.Dataset) -> xr.Dataset:
 
 
 def chain_table(fc: xr.Dataset) -> pd.DataFrame:
-    """Table of all chains (computes, one step at a time).
+    """Return the table of all chains (computes, one step at a time).
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`, of one step or several.
 
     Returns
     -------
@@ -239,7 +244,12 @@ def chain_table(fc: xr.Dataset) -> pd.DataFrame:
 
 
 def link_table(fc: xr.Dataset) -> pd.DataFrame:
-    """Table of all links (computes, one step at a time).
+    """Return the table of all links (computes, one step at a time).
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`, of one step or several.
 
     Returns
     -------

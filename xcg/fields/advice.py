@@ -332,7 +332,7 @@ class ComputedStep:
     def _floors(self, support: Support) -> dict[str, str]:
         """Return which norms and eigenvalues are noise, unless all are small or contradict the step.
 
-        None are returned where the call has named those of a step before.
+        Empty if the call has already named floors of another step.
         """
         if active_call().has_asked(f"few grains: {_FLOORS}"):
             return {}
@@ -501,11 +501,11 @@ class ComputedStep:
             )
 
     def _lost_stress(self) -> dict[str, str]:
-        """Return how much of the pressure the kinetic stress lacks; warn if it adds what is no fluctuation.
+        """Return how much of the pressure the kinetic stress lacks; warn if it contains variation of the flow.
 
-        It lacks what the velocity at a node takes, as that follows the few grains there; it adds the
-        variation of the flow within what a node sees. Without contacts the pressure is not known, and
-        shares are those of the kinetic stress itself, where it was asked for by name.
+        It lacks the part of the fluctuations that the velocity at a node follows, as few grains make
+        this velocity; it contains the variation of the flow within the support. Without contacts the
+        pressure is not known: shares are of the kinetic stress itself, if it was requested by name.
         """
         plan = self.plan
         assert plan.support is not None
@@ -594,7 +594,7 @@ class ComputedStep:
             )
 
     def _warn_of_variation(self, parts: Pressures, true: float, names: str, whole: str) -> None:
-        """Warn where a considerable part of the pressure is no fluctuation but the variation of the flow.
+        """Warn where a considerable part of the pressure is variation of the flow, not fluctuation.
 
         Of tensors it is also the part of a normal stress, or of the mean one, whichever is larger:
         a stress that is small beside the others is of no weight in their ratios.

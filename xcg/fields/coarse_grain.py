@@ -89,7 +89,7 @@ def answer(
     Parameters
     ----------
     plan : Plan, optional
-        That of the request, where there is one.
+        Plan of the request, if it has been made.
     of_steps : bool
         Whether the fields are those of single steps for the user, with advice on these.
     """

@@ -29,7 +29,7 @@ _WIDE = 300  # largest diameters; a width beyond is in another unit, most likely
 
 
 def nodes_of(scene: Scene, request: Request, kernels: Sequence[Kernel]) -> Nodes:
-    """Lay the nodes: points, where coordinates are arrays; those of a cylinder; or a mesh."""
+    """Return the nodes: points where coordinates are arrays, rings in a cylindrical frame, else a mesh."""
     plane = scene.setup.plane
     at: Mapping[str, Any] = request.at or {}
     smallest = min(kernels, key=lambda k: k.cutoff)
@@ -188,7 +188,7 @@ def _kernels_of_groups(
 
 
 def undercut_size(scene: Scene, request: Request, width: float) -> str | None:
-    """Return the size beside which a width (m) is so narrow that the kernel sees single grains; None if there is none.
+    """Return the name of a size for which a width (m) is so narrow that the kernel sees single grains, or None.
 
     `width` is the least one where each group has its own.
     """

@@ -32,7 +32,7 @@ def text_of_floors(scene: Scene, plan: Plan) -> str | None:
 def effective_count(scene: Scene, plan: Plan) -> float | None:
     """N_eff at a node for equal spheres (or discs in a layer) of d43 that fill the share `DENSE` of the space.
 
-    None for rings and widths by group, whose weights are not those of one kernel.
+    None for rings and widths by group, whose weights follow from no single kernel.
     """
     averaged = _averaged_over(scene, plan)
     other_weights = scene.cylindrical or len(plan.cutoffs) > 1
@@ -63,8 +63,8 @@ def floors_of(plan: Plan, support: Support) -> dict[str, tuple[float, Field]]:
 def support_of(scene: Scene, plan: Plan) -> Support | None:
     """Return the effective numbers of a node, of grains that fill their extent evenly.
 
-    None for widths by group, whose weights are not those of one kernel, and where sizes, extent or
-    the box are not known. Of the rings of a cylinder it is that of the middle one.
+    None for widths by group, whose weights follow from no single kernel, and where sizes, extent or
+    the box are not known. For the rings of a cylinder it is the support of the middle one.
     """
     grid = plan.nodes
     count = scene.ds.sizes.get("particle", 0)

@@ -99,7 +99,7 @@ OF_RESULTS = tuple(name for name, option in SAVED_OPTIONS.items() if option.is_f
 
 
 def saved_options(attrs: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return the options that a result was computed with, from its attributes; those of groups are left as they are."""
+    """Return the options that a result was computed with, from its attributes; values by group stay arrays."""
     options: dict[str, Any] = {}
     for name, option in SAVED_OPTIONS.items():
         if name in attrs:

@@ -175,7 +175,7 @@ def frame_of(
 
 
 def entries_of(arrays: Mapping[str, NDArray], chosen: Any) -> Frame:
-    """Return the chosen entries of each array: at an index, or those of a slice, a mask or indices."""
+    """Return the entries of each array at an index, a slice, a mask or indices."""
     return {name: values[chosen] for name, values in arrays.items()}
 
 

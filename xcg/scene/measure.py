@@ -16,11 +16,22 @@ from xcg.scene.sizes import OF_SIZE, SIZE_NAMES, SIZES, measure_frames, sizes_of
 def measure(ds: xr.Dataset) -> xr.Dataset:
     """Measure sizes and extent of all steps of a scene and store them as attributes (computes).
 
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene, lazy or in memory.
+
     Returns
     -------
     xarray.Dataset
-        The same scene with the attributes of `sizes_of`, particle_lower and particle_upper set
-        anew.
+        The same scene with the attributes ``d43``, ``d32``, ``d50``, ``drms``, ``dmin``, ``dmax``,
+        ``particle_lower`` and ``particle_upper`` (m), and the values of its integer variables, such as
+        ``species_values``.
+
+    Raises
+    ------
+    SceneError
+        If the Dataset is not a scene.
     """
     Scene(ds).require((), "measure")
     return _measure(without_measures(ds))

@@ -195,6 +195,13 @@ def assign_phases(
 def plot_phases(scene: Scene, index: int = -1) -> Figure:
     """Draw the clusters of one step and the scores of `find_phases` (computes).
 
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with ``diameter``, ``density`` and ``phase``, such as one from `find_phases`, which has scores.
+    index : int
+        Position of the step, by default the last one.
+
     Returns
     -------
     matplotlib.figure.Figure

@@ -127,7 +127,7 @@ def _discs(grains: Particles) -> str | None:
 
 
 def _layer(grains: Particles) -> str | None:
-    """Check that grains of a volume do not all lie in a plane, and that those of a layer lie in its plane.
+    """Check that the grains of a volume do not all lie in a plane, and that a layer lies in its plane.
 
     A box of at most three diameters across the plane is the layer's thickness.
     """

@@ -232,7 +232,7 @@ def run(
 def _variables_of_task(ds: xr.Dataset, required: Sequence[str]) -> dict[str, str]:
     """Return the variables of a task with the dimension of their rows, "" for one value a step.
 
-    They are what is required, the ids that tell rows from padding, and the box.
+    These are the required variables, the ids that mark padding, and the box.
     """
     ids = ["particle_id"]
     if any("contact" in ds.variables[name].dims for name in required):

@@ -80,6 +80,11 @@ def register_writer(suffix: str, write: Writer) -> None:
         ``write(ds, path, encoding, overwrite=...)``, see `Writer`. `save` has checked that the
         folder of `path` is there and that the name is free, unless it may be replaced.
 
+    Returns
+    -------
+    None
+        `save` takes the suffix in this process.
+
     Raises
     ------
     ValueError

@@ -60,7 +60,7 @@ class Steadiness:
     ) -> xr.Variable:
         """Return an error with the shares of nodes that drift or have no plateau; lazy ones warn when computed.
 
-        `weight` is that of each sample in the mean; None for what is no ratio of two sums. Nodes that
+        `weight` is the weight of each sample in the mean; None unless the field is a ratio of two sums. Nodes that
         are `unsure` are left out, as the sign of their blocks changes.
         """
         zero = xr.zeros_like(self.repeated)

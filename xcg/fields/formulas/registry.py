@@ -35,7 +35,7 @@ from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 
 class _Fields(ChainMap[str, Field]):
-    """Rows of fields by name: those that users registered, and those of xcg."""
+    """Rows of fields by name, registered by users and by xcg."""
 
     def __repr__(self) -> str:
         """Return the number of fields, by topic, and how to see them."""
@@ -281,6 +281,11 @@ def register_field(
     constants : bool
         Whether numbers in the formula have units of their own, as 2500 kg/m^3 does: `units` are then
         taken as they are given.
+
+    Returns
+    -------
+    None
+        The field is known in this process; tasks take it with them to others.
 
     Raises
     ------

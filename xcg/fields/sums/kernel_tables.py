@@ -176,7 +176,7 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
 
 
 def _even(profile: Profile) -> list[float]:
-    """Return a profile as a polynomial of 2 q^2 - 1, the highest power first; nothing where it is none to rounding.
+    """Return a profile as a polynomial of 2 q^2 - 1, the highest power first; empty unless it is one to rounding.
 
     The number of coefficients is a multiple of `AT_ONCE`, as loops take them.
     """

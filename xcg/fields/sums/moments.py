@@ -113,7 +113,7 @@ _ERRORS = 4.0  # of the difference of two slices, by which it has to exceed nois
 
 
 def _warn_of_depth(contacts: Contacts) -> None:
-    """Warn where the mean force varies along an axis, as with depth: strong contacts are those of one region.
+    """Warn where the mean force varies along an axis, as with depth: strong contacts then lie in one region.
 
     Not along periodic axes, where no mean stress can grow steadily.
     """

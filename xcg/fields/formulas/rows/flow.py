@@ -159,7 +159,7 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _momentum_flux(f: Any, s: Any, o: Options) -> NDArray:
-    """Sum of m Psi v v from those of m Psi, m Psi u and m Psi u u, v = u + b, b the node's reference."""
+    """Return S m Psi v v from S m Psi, S m Psi u and S m Psi u u; v = u + b, b the node's reference."""
     b = s.reference
     moved = s.momentum + s.mass[..., None] * b
     return s.kinetic + outer(b, s.momentum) + outer(moved, b)

@@ -3,8 +3,8 @@
 A director has no head: n and -n are one. With D the dimension of the scene and <> the mean over
 grains, each counted once, Q = (D <n n> - I) / (D - 1) is 0 for directors of all directions, has the
 eigenvalue 1 where all are along one, and -1/2 along the normal of a plane in which they are spread
-evenly: the eigenvalue of largest modulus tells these states apart. Source: de Gennes & Prost (1993), The Physics of
-Liquid Crystals.
+evenly: the eigenvalue of largest modulus distinguishes these states. Source: de Gennes & Prost
+(1993), The Physics of Liquid Crystals.
 """
 
 from __future__ import annotations
