@@ -10,6 +10,7 @@ import xarray as xr
 import xcg
 from tests.dumps import write
 from tests.scenes import random_steps
+from xcg.readers.files.table import way_of_words
 
 
 def tables_of(ds):
@@ -468,6 +469,7 @@ def test_species_that_are_words_name_two_ways(tmp_path, kind):
         xcg.SceneError, match=r"'type'.* names=\{'type': None\}.*factorize"
     ) as error:
         read(source, density=1.0).load()
+    assert "factorize" not in way_of_words("id1")  # numbers of ids would be those of other grains
     call = str(error.value).partition("table of pandas, ")[2].partition(", for ")[0]
     exec(call, {"table": table, "pandas": pd})
     assert xcg.scene_from_table(table, density=1.0).species.values.tolist() == [[1, 0]]

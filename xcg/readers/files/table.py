@@ -31,6 +31,7 @@ from xcg.compiled.text import BEYOND, REST, read_rows
 from xcg.readers.column_units import with_unit
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import PIECE, Scanner, body_of, scanned, source_of, whole_lines
+from xcg.readers.names import PARTICLE_SLOTS, canonical
 
 Columns: TypeAlias = dict[Any, NDArray]  # by name, and vectors by the names of their columns
 
@@ -351,9 +352,12 @@ def _fault(
 
 def way_of_words(column: str) -> str:
     """Return what to do with a column of words, as the end of a message."""
+    way = f"a column of words is dropped by names={{{column!r}: None}}"
+    if canonical(column) not in PARTICLE_SLOTS["species"]:
+        return way
     return (
-        f"drop a column of words by names={{{column!r}: None}}, or number it in a table of pandas, table[{column!r}] = "
-        f"pandas.factorize(table[{column!r}], sort=True)[0], for xcg.scene_from_table(table)"
+        f"{way}, or numbered in a table of pandas, table[{column!r}] = pandas.factorize(table[{column!r}], "
+        "sort=True)[0], for xcg.scene_from_table(table)"
     )
 
 
