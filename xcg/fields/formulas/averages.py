@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -44,6 +44,7 @@ from xcg.scene.frame import require_steps, with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.labels import format_call, provenance
 
+T = TypeVar("T", xr.Dataset, xr.DataArray)
 _SAMPLE = "_sample"
 
 
@@ -97,10 +98,11 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
         return mean.set_coords(beside)
     count = _independent(f, others)
     mean = with_floors(mean, average.options, "profile", count)
-    if count > 1:
-        scatter = {name: f[name].std(others) / np.sqrt(count - 1.0) for name in noise}
-        mean = mean.assign({f"{name}_error": error for name, error in scatter.items()})
-    of_nodes = {name: _noise(error, sums, name, others, count) for name, error in noise.items()}
+    of_nodes = {}
+    for name, error in noise.items():
+        if count > 1:
+            mean[f"{name}_error"] = f[name].std(others) / np.sqrt(count - 1.0)
+        of_nodes[name] = _noise(error, sums, name, others, count)
     return _with_larger(mean, of_nodes, "scatter_of_places").set_coords(beside)
 
 
@@ -166,11 +168,11 @@ def time_average(
 def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr.Dataset:
     """Average a result as `time_average` does, variable by variable."""
     of_runs = dim != "time"
+    if not of_runs:
+        f = with_time(f)
+    f, sums_beside = _with_sums(with_facts(f))
     if of_runs:
-        f, sums_beside = _with_sums(with_facts(f))
         f = _of_equal_runs(f, dim, window)
-    else:
-        f, sums_beside = _with_sums(with_facts(with_time(f)))
     f, noise = _without_noise(f)
     if dim not in f.dims:
         raise ValueError("time_average needs a result with the dimension 'time'")
@@ -186,20 +188,11 @@ def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr
     if of_runs:
         arguments = {"dim": dim}
     f = f.assign_attrs(provenance(f, format_call("time_average", arguments)))
-    bare = f
-    if not of_runs:
-        bare = f.drop_vars("step", errors="ignore")
-    bare = bare.assign({_noise_of(name): values.variable for name, values in noise.items()})
-    if window is None:
-        samples = bare.rename({dim: _SAMPLE}).drop_vars(_SAMPLE, errors="ignore")
-    else:
-        window = int(window)
-        steps = np.arange(0, count - window + 1, int(every))[:, None] + np.arange(window)
-        samples = bare.drop_vars("time").isel(time=xr.DataArray(steps, dims=("time", _SAMPLE)))
-        middle = f["time"].to_numpy()[steps].mean(axis=1)
-        samples = samples.assign_coords(time=("time", middle, f["time"].attrs))
-    noisy = {name: samples[_noise_of(name)] for name in noise}
-    samples = samples.drop_vars([_noise_of(name) for name in noise])
+    steps = None
+    if window is not None:
+        firsts = np.arange(0, count - int(window) + 1, int(every))
+        steps = firsts[:, None] + np.arange(int(window))
+    samples = _samples_of(f, dim, steps)
     average = Averaging.of(f, "time_average")
     samples = average.to_sums(samples, [_SAMPLE])
     mean = _average_of(samples.mean(_SAMPLE, skipna=False), f, average)
@@ -217,14 +210,26 @@ def _time_average(f: xr.Dataset, window: int | None, every: int, dim: str) -> xr
     mean = mean.assign_attrs({averaged: in_a_mean})
     if 1 < in_a_mean < MIN_BIAS_BLOCKS:  # it has no bias
         warn_of_floors(mean, average.options, "time_average")
-    of_steps = {
-        name: _noise(error, samples, name, [_SAMPLE], in_a_mean) for name, error in noisy.items()
-    }
+    of_steps = {}
+    for name, error in noise.items():
+        error = _samples_of(error, dim, steps)
+        of_steps[name] = _noise(error, samples, name, [_SAMPLE], in_a_mean)
     mean = _with_larger(mean, of_steps, "scatter_of_runs" if of_runs else "scatter_of_steps")
     # what was not asked for has no error
     loose = [f"{name}{end}" for name in sums_beside for end in ENDS]
     mean = mean.drop_vars(loose, errors="ignore")
     return mean.set_coords(sums_beside)
+
+
+def _samples_of(f: T, dim: str, steps: NDArray | None) -> T:
+    """Return data whose steps or runs are samples; with `steps` (windows, samples), those of each window."""
+    if dim == "time":
+        f = f.drop_vars("step", errors="ignore")
+    if steps is None:
+        return f.rename({dim: _SAMPLE}).drop_vars(_SAMPLE, errors="ignore")
+    samples = f.drop_vars("time").isel(time=xr.DataArray(steps, dims=("time", _SAMPLE)))
+    middle = f["time"].to_numpy()[steps].mean(axis=1)
+    return samples.assign_coords(time=("time", middle, f["time"].attrs))
 
 
 def _beside(
@@ -291,9 +296,8 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
     differing = [axis for axis in axes if axis in f.coords and dim in f[axis].dims]
     if differing:
         raise ValueError(_of_different_meshes(dim, differing))
-    definitions = {
-        name: field for name, field in Averaging.of(f, "time_average").definitions.items() if field
-    }
+    definitions = Averaging.of(f, "time_average").definitions
+    definitions = {name: field for name, field in definitions.items() if field}
     sums = [name for name, field in definitions.items() if field.additive and dim in f[name].dims]
     if sums:
         lacking = f[sums[0]].isnull().any(dim)
@@ -301,26 +305,27 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
         gaps = []
         for axis in nodes:
             gaps.append(lacking.all([other for other in lacking.dims if other != axis]).any())
-        refuse = partial(_refuse_gaps, dim, nodes)
-        of_runs = [name for name in definitions if name in f and dim in f[name].dims]
         checked = {}
-        for name in of_runs:
-            checked[name] = xr.apply_ufunc(
-                refuse,
-                f[name],
-                *gaps,
-                dask="parallelized",
-                output_dtypes=[f[name].dtype],
-                keep_attrs=True,
-            )
+        for name in definitions:
+            if dim in f[name].dims:
+                checked[name] = xr.apply_ufunc(
+                    partial(_refuse_gaps, dim, nodes),
+                    f[name],
+                    *gaps,
+                    dask="parallelized",
+                    output_dtypes=[f[name].dtype],
+                    keep_attrs=True,
+                )
         f = f.assign(checked)
-    if {"averaged_steps", "averaged_runs"} & {*f.attrs}:
+    if _is_average(f):
         errors = errors_among(map(str, f.data_vars))
         f = f.drop_vars([*errors, *(f"{name}_from" for name in errors)], errors="ignore")
     # xarray joins sums that are equal in all runs to one
-    equal = {name: f[name] for name in definitions if name in f and dim not in f[name].dims}
-    count = f.sizes[dim]
-    return f.assign({name: values.expand_dims({dim: count}) for name, values in equal.items()})
+    equal = {}
+    for name in definitions:
+        if name in f and dim not in f[name].dims:
+            equal[name] = f[name].expand_dims({dim: f.sizes[dim]})
+    return f.assign(equal)
 
 
 def _refuse_gaps(dim: str, axes: Sequence[Hashable], values: NDArray, *gaps: NDArray) -> NDArray:
@@ -417,19 +422,22 @@ def _with_sums(f: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     return f.reset_coords(beside), beside
 
 
-def _noise_of(name: str) -> str:
-    return f"{name}/noise"
-
-
 def _without_noise(f: xr.Dataset) -> tuple[xr.Dataset, dict[str, xr.DataArray]]:
     """Remove the errors of single steps from a result; return them by the names of their fields."""
-    if {"averaged_steps", "averaged_runs"} & {*f.attrs}:
-        return f, {}
-    names = list(map(str, f.data_vars))
-    noise = {name: f[f"{name}_error"] for name in names if f"{name}_error" in f}
-    errors = [f"{name}_error" for name in noise]
-    sources = [f"{name}_error_from" for name in noise]
-    return f.drop_vars([*errors, *sources], errors="ignore"), noise
+    noise: dict[str, xr.DataArray] = {}
+    if _is_average(f):
+        return f, noise
+    for name in map(str, f.data_vars):
+        error = f"{name}_error"
+        if error in f:
+            noise[name] = f[error]
+    beside = [f"{name}{end}" for name in noise for end in ("_error", "_error_from")]
+    return f.drop_vars(beside, errors="ignore"), noise
+
+
+def _is_average(f: xr.Dataset) -> bool:
+    """Return whether a result is an average over steps or runs, whose errors are not those of one step."""
+    return not {"averaged_steps", "averaged_runs"}.isdisjoint(f.attrs)
 
 
 def _noise(
@@ -449,18 +457,17 @@ def _noise(
 
 def _independent(f: xr.Dataset, axes: Sequence[str]) -> float:
     """Return how many places along some axes share no grains: at most as many as there are nodes."""
-    count = math.prod(f.sizes[a] for a in axes)
     dimension = int(f.attrs["kernel_dimension"])
     kernel = kernel_of(str(f.attrs["kernel"]), float(np.max(f.attrs["width"])), {}, dimension)
-    seen = len([a for a in COMPONENTS if a in f.coords])
-    lengths = [0.0] * len(axes)
-    for k, axis in enumerate(axes):
-        if f.sizes[axis] > 1:
-            lengths[k] = abs(float(f[axis][1] - f[axis][0])) * f.sizes[axis]
-    before = kernel.squared_integral(seen)
-    after = kernel.squared_integral(seen - len(axes))
-    places = math.prod(lengths) * before / after
-    return max(1.0, min(count, places))
+    seen = sum(a in f.coords for a in COMPONENTS)
+    nodes = 1
+    volume = 1.0
+    for axis in axes:
+        x = f[axis].to_numpy()
+        nodes *= len(x)
+        volume *= len(x) * abs(x[1] - x[0]) if len(x) > 1 else 0.0
+    places = volume * kernel.squared_integral(seen) / kernel.squared_integral(seen - len(axes))
+    return float(max(1.0, min(nodes, places)))
 
 
 def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: str) -> xr.Dataset:
