@@ -20,6 +20,11 @@ def run(call, **names):
     return eval(last, names), names
 
 
+def numbers_of(pictures, choice):
+    """Return the numbers of a picture."""
+    return pictures.picture(choice)[choice.field]
+
+
 def open_scene():
     """Return grains without a box."""
     rng = np.random.default_rng(3)
@@ -56,7 +61,7 @@ def test_the_shown_call_draws_the_lines_of_the_profile(scene, choice):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     ds = SCENES[scene]()
     pictures = pictures_of(ds)
-    numbers = pictures.numbers(choice)
+    numbers = numbers_of(pictures, choice)
     ax, _ = run(pictures.call(choice), ds=ds)
     get = "get_xdata" if choice.axes == ("z",) else "get_ydata"
     drawn = np.array([getattr(line, get)() for line in ax.lines])
@@ -70,7 +75,7 @@ def test_the_shown_call_gives_the_numbers_of_the_map(scene, choice):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     ds = SCENES[scene]()
     pictures = pictures_of(ds)
-    numbers = pictures.numbers(choice)
+    numbers = numbers_of(pictures, choice)
     _, names = run(pictures.call(choice), ds=ds)
     f = names["f"].isel(time=0)
     assert numbers.dims == choice.axes[::-1]
@@ -96,7 +101,7 @@ def test_the_shown_call_of_a_result_gives_the_numbers_of_the_picture(choice):
     f = ds.cg.coarse_grain(["density", "velocity"], for_averages=True)
     pictures = pictures_of(f)
     assert choice.view in pictures.views
-    numbers = pictures.numbers(choice)
+    numbers = numbers_of(pictures, choice)
     ax, _ = run(pictures.call(choice), f=f)
     if choice.view == "profile":
         expected = f.isel(time=[0]).cg.profile("z")["velocity"].sel(component="x").isel(time=0)
@@ -123,13 +128,13 @@ def test_an_error_that_is_negative_is_refused():
     mean = f.cg.time_average().compute()
     difference = mean.assign(velocity_error=-mean.velocity_error)
     with pytest.raises(ValueError, match=r"velocity_error is negative.*xcg\.compare"):
-        pictures_of(difference).numbers(Choice("velocity", "profile", ("z",)))
+        numbers_of(pictures_of(difference), Choice("velocity", "profile", ("z",)))
 
 
 def test_nodes_stay_where_they_are_in_all_steps():
     pictures = pictures_of(xcg.datasets.open("plane_shear"))
     first, last = (
-        pictures.numbers(Choice("density", "profile", ("z",), time=time)) for time in (0, 4)
+        numbers_of(pictures, Choice("density", "profile", ("z",), time=time)) for time in (0, 4)
     )
     np.testing.assert_array_equal(first["z"], last["z"])
     assert not np.array_equal(first, last)
@@ -139,11 +144,11 @@ def test_only_the_shown_step_is_read_and_once_for_all_widths(reads):
     ds = xcg.datasets.open("plane_shear", chunks=1)
     pictures = pictures_of(ds)
     reads.clear()
-    pictures.numbers(Choice("pressure", "map", ("x", "z"), time=2))
+    numbers_of(pictures, Choice("pressure", "map", ("x", "z"), time=2))
     shown = ds["step"][2].item()
     assert {step for _, step in reads} == {shown}
     before = dict(reads)
-    pictures.numbers(Choice("pressure", "map", ("x", "z"), time=2, width="1.06 d43"))
+    numbers_of(pictures, Choice("pressure", "map", ("x", "z"), time=2, width="1.06 d43"))
     assert reads == before
 
 
@@ -208,10 +213,10 @@ def test_averages_with_errors_have_profiles_and_errors_have_none_of_their_own():
     pictures = pictures_of(mean)
     choice = Choice("velocity", "profile", ("z",), part="x")
     np.testing.assert_array_equal(
-        pictures.numbers(choice), mean[["velocity", "density"]].cg.profile("z").velocity[:, 0]
+        numbers_of(pictures, choice), mean[["velocity", "density"]].cg.profile("z").velocity[:, 0]
     )
     ax, _ = run(pictures.call(choice), f=mean)
-    np.testing.assert_array_equal(ax.lines[0].get_xdata(), pictures.numbers(choice))
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), numbers_of(pictures, choice))
     pyplot.close("all")
     with pytest.raises(ValueError, match="velocity_error is an error itself"):
         pictures_of(ds).errors(Choice("velocity_error", "profile", ("z",)))
@@ -275,7 +280,7 @@ def test_a_field_without_an_error_of_one_step_still_has_a_bias():
 def test_fields_that_the_scene_cannot_give_are_refused_with_the_reason():
     pictures = pictures_of(xcg.datasets.random_scene(50, seed=1))
     with pytest.raises(ValueError, match=r"d2min compares two frames.*ds\.cg\.displacement"):
-        pictures.numbers(Choice("d2min", "map", ("x", "z")))
+        numbers_of(pictures, Choice("d2min", "map", ("x", "z")))
 
 
 def test_results_without_an_axis_and_chains_are_refused():

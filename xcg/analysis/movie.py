@@ -6,7 +6,6 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import xarray as xr
 
@@ -22,9 +21,6 @@ from xcg.common.checks import POSITIVE, check, extra
 from xcg.common.messages import unknown
 from xcg.scene.frame import require_steps, with_time
 from xcg.steps.mapping import each_step, shown
-
-if TYPE_CHECKING:
-    pass
 
 FRAME = (7.0, 5.0)  # inches of a movie
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -20,9 +20,6 @@ from xcg.fields.formulas.registry import FIELDS, OTHER_NAMES, REGISTERED, fields
 from xcg.scene.facts import with_present_names
 from xcg.scene.frame import step_at, with_time
 from xcg.scene.schema import COMPONENTS
-
-if TYPE_CHECKING:
-    pass
 
 T = TypeVar("T", xr.Dataset, xr.DataArray)
 Shading: TypeAlias = Literal["smooth", "flat"]

@@ -13,12 +13,7 @@ from xcg.analysis.compare import COMPARED, ERROR
 from xcg.analysis.draw_pictures import Frames, title_of
 from xcg.analysis.fit_law import CURVE, draw_fit
 from xcg.analysis.grain_plots import draw_grains
-from xcg.analysis.picture import (
-    DENSITIES,
-    Shading,
-    Shown,
-    axes_of,
-)
+from xcg.analysis.picture import DENSITIES, Shading, Shown, axes_of
 from xcg.common import drawing
 from xcg.common.checks import extra
 from xcg.common.messages import did_you_mean
@@ -205,10 +200,12 @@ def _plot_compared(
 
 def _side_of(f: xr.Dataset, side: str) -> xr.Dataset:
     """Return the values of one side of a comparison under the names of their fields."""
-    names: dict[str, str] = {}
+    names = {}
     for name in f.attrs[COMPARED].split():
-        names |= {f"{name}_{side}{end}": f"{name}{end}" for end in ("", ERROR)}
-    return f[[name for name in names if name in f]].rename({n: names[n] for n in names if n in f})
+        for end in ("", ERROR):
+            if f"{name}_{side}{end}" in f:
+                names[f"{name}_{side}{end}"] = f"{name}{end}"
+    return f[list(names)].rename(names)
 
 
 # Options of other plotting functions, with what to do in place of them.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -22,9 +22,6 @@ from xcg.scene.facts import SETUP, with_setup
 from xcg.scene.scene import Scene
 from xcg.scene.schema import units_in
 from xcg.steps.labels import labelled_table, provenance
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)

@@ -255,10 +255,6 @@ class Pictures:
         names = [str(name) for name in self.ds.data_vars]
         return [name for name in names if name.endswith((ERROR, BIAS)) and name != field]
 
-    def numbers(self, choice: Choice) -> xr.DataArray:
-        """Return the numbers of the picture, as `plot` draws them."""
-        return self.picture(choice)[choice.field]
-
     def picture(self, choice: Choice) -> xr.Dataset:
         """Return the numbers of the picture and its arrows, as `plot` draws them; ``attrs["drawn"]`` is its name."""
         arrows = None if choice.view == "profile" else choice.arrows
@@ -332,24 +328,25 @@ class ScenePictures(Pictures):
 
     def _request(self, choice: Choice) -> dict[str, Any]:
         """Return the arguments of `coarse_grain`."""
-        ends = {a: self.range_of(a) for a in choice.axes}
         request: dict[str, Any] = {"axes": "".join(choice.axes)}
         if choice.view == "slice":
             request["at"] = {self.cut_axis(choice): choice.position}
         request["width"] = choice.width
         request["spacing"] = float(f"{self._spacing(choice):.3g}")
         # the same nodes in all steps; along periodic axes they are those of the box
-        open_axes = [a for a in choice.axes if a not in self.scene.setup.periodic]
-        if open_axes:
-            request["bounds"] = {
-                a: (float(f"{ends[a][0] - self.size:.5g}"), float(f"{ends[a][1] + self.size:.5g}"))
-                for a in open_axes
-            }
-        averaged = [a for a in self.axes if a not in choice.axes and a not in request.get("at", {})]
-        if open_lengths := [a for a in averaged if a not in self.scene.edges]:
-            request["extent"] = {
-                a: float(f"{np.ptp(self.range_of(a)) + self.size:.5g}") for a in open_lengths
-            }
+        bounds = {}
+        extent = {}
+        for a in self.axes:
+            low, high = self.range_of(a)
+            if a in choice.axes and a not in self.scene.setup.periodic:
+                bounds[a] = (float(f"{low - self.size:.5g}"), float(f"{high + self.size:.5g}"))
+            is_averaged = a not in choice.axes and a not in request.get("at", {})
+            if is_averaged and a not in self.scene.edges:
+                extent[a] = float(f"{high - low + self.size:.5g}")
+        if bounds:
+            request["bounds"] = bounds
+        if extent:
+            request["extent"] = extent
         if choice.phase in self.drawn_phases:
             request["by"] = self.by
         return request
@@ -411,8 +408,12 @@ class ScenePictures(Pictures):
         centre, radius, drawn = circles_of(frame, choice.axes, cut, lattice)
         if len(drawn) > MOST_GRAINS:
             note = f"{MOST_GRAINS} of {len(drawn)} grains are drawn"
-            some = np.argsort(hashed(frame["particle_id"][drawn]), kind="stable")[:MOST_GRAINS]
-            centre, radius = centre[some], radius[some]
+            # Knuth's multiplicative hash, 32 bits
+            ids = frame["particle_id"][drawn].astype(np.uint64)
+            hashed = ids * np.uint64(2654435761) % np.uint64(2**32)
+            some = np.argsort(hashed, kind="stable")[:MOST_GRAINS]
+            centre = centre[some]
+            radius = radius[some]
         across, up = centre.T
         return {"x": across, "y": up, "radius": radius}, note
 
@@ -454,11 +455,6 @@ def missing_for(name: str, scene: Scene) -> list[str]:
     if row.option:
         missing.append(f"{row.option}=")
     return missing
-
-
-def hashed(ids: NDArray) -> NDArray:
-    """Return a pseudo-random number for each id (Knuth's multiplicative hash, 32 bits)."""
-    return ids.astype(np.uint64) * np.uint64(2654435761) % np.uint64(2**32)
 
 
 def written_call(function: str, arguments: Mapping[str, Any]) -> str:

@@ -43,8 +43,7 @@ def check_contacts(
     side_j = _side(frame["position"], index_j, point, lattice)
     if "diameter" in frame:
         larger = np.maximum(_diameter(frame, index_i), _diameter(frame, index_j))
-        length_i, length_j = (np.sqrt(np.einsum("nk,nk->n", s, s)) for s in (side_i, side_j))
-        away = np.maximum(length_i, length_j)
+        away = np.maximum(np.linalg.norm(side_i, axis=1), np.linalg.norm(side_j, axis=1))
         distance = np.divide(away, larger, out=np.zeros_like(away), where=larger > 0.0)
         far = np.flatnonzero(distance > _FAR)
         if far.size:
@@ -95,18 +94,23 @@ def _check_tension(along: NDArray, source: str) -> None:
 
 def is_central(contacts: Frame, particles: Frame, lattice: Lattice) -> bool:
     """Return whether all forces between particles lie along the line of their centres; False for few contacts."""
-    some = sample_of(len(contacts["contact_i"]))
-    i, j = (
-        indices_of(particles["particle_id"], contacts[name][some])
-        for name in ("contact_i", "contact_j")
-    )
-    pairs = (i >= 0) & (j >= 0)
-    branch = lattice.shortest(particles["position"][i[pairs]] - particles["position"][j[pairs]])
-    force = contacts["contact_force"][some][pairs]
-    across, along, pull = (
-        np.linalg.norm(vectors, axis=1) for vectors in (np.cross(branch, force), branch, force)
-    )
-    return len(force) >= FEW and bool((across <= _CENTRAL * along * pull).all())
+    pairs, centres = _sampled_pairs(contacts, particles)
+    branch = lattice.shortest(centres)
+    force = contacts["contact_force"][pairs]
+    across = np.linalg.norm(np.cross(branch, force), axis=1)
+    most = _CENTRAL * np.linalg.norm(branch, axis=1) * np.linalg.norm(force, axis=1)
+    return len(force) >= FEW and bool((across <= most).all())
+
+
+def _sampled_pairs(contacts: Frame, particles: Frame) -> tuple[NDArray, NDArray]:
+    """Return contacts between two particles among a sample, and the vectors (n, 3) from j to i of their centres."""
+    some = np.arange(len(contacts["contact_i"]))[sample_of(len(contacts["contact_i"]))]
+    ids = particles["particle_id"]
+    index_i = indices_of(ids, np.asarray(contacts["contact_i"][some], "int64"))
+    index_j = indices_of(ids, np.asarray(contacts["contact_j"][some], "int64"))
+    is_pair = (index_i >= 0) & (index_j >= 0)
+    position = particles["position"]
+    return some[is_pair], position[index_i[is_pair]] - position[index_j[is_pair]]
 
 
 def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> None:
@@ -123,19 +127,14 @@ def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> N
     source : str
         Names the step.
     """
-    some = sample_of(len(raw["contact_i"]))
-    index_i, index_j = (
-        indices_of(particles["particle_id"], np.asarray(raw[name][some], "int64"))
-        for name in ("contact_i", "contact_j")
-    )
-    pairs = np.flatnonzero((index_i >= 0) & (index_j >= 0))
-    ends = lattice.shortest(raw["wrapped_branch"][some][pairs])
-    centres = particles["position"][index_i[pairs]] - particles["position"][index_j[pairs]]
+    pairs, centres = _sampled_pairs(raw, particles)
+    ends = lattice.shortest(raw["wrapped_branch"][pairs])
     away = np.linalg.norm(lattice.shortest(ends - centres), axis=1)
     off = np.flatnonzero(away > _OFF * np.linalg.norm(ends, axis=1))
     if off.size:
         first = off[0]
-        i, j = (int(raw[name][some][pairs[first]]) for name in ("contact_i", "contact_j"))
+        i = int(raw["contact_i"][pairs[first]])
+        j = int(raw["contact_j"][pairs[first]])
         warn_once(
             "ends",
             f"{source}: the ends of {off.size} of {len(pairs)} contacts looked at are not the positions of their "

@@ -16,7 +16,6 @@ from xcg.common.messages import SceneError, did_you_mean
 from xcg.fields.coarse_grain import answer, coarse_grain
 from xcg.fields.request import OF_PRESETS, Request
 from xcg.scene.conform import storable, takes_scene
-from xcg.scene.scene import Scene
 from xcg.scene.times import check_times
 from xcg.steps.mapping import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
@@ -100,7 +99,7 @@ class Recorder:
         for chunk in chunks:
             if "position" in ds:
                 # before values are loaded: fields need only some variables of a lazy scene
-                chunk = _fields(chunk, self._request)
+                chunk = takes_scene(answer)(chunk, self._request)
             for step in each_step(chunk):
                 self._add(_with_time(step))
 
@@ -112,19 +111,20 @@ class Recorder:
             times = np.concatenate([before["time"].to_numpy(), fields["time"].to_numpy()])
             check_times(times, str(self.path), "append steps in the order of time")
         fields = self._encoding.noted(fields).load()
-        values: dict[str, np.ndarray] = {}
-        for key, variable in fields.variables.items():
-            name = str(key)
-            if "time" not in variable.dims:
-                continue
-            values[name] = variable.data
-            if name not in fields.coords:
-                values[name] = self._encoding.reduced(variable.data, name)
+        stored = fields.copy()
+        for name in map(str, fields.data_vars):
+            if "time" in fields[name].dims:
+                stored[name] = fields[name].copy(
+                    data=self._encoding.reduced(fields[name].data, name)
+                )
         if before is None:
-            stored = fields.assign({n: fields.variables[n].copy(data=x) for n, x in values.items()})
             self._create(self.path, storable(stored.drop_encoding()), self._overwrite)
             self._remember(fields)
             return
+        values = {}
+        for key, variable in stored.variables.items():
+            if "time" in variable.dims:
+                values[str(key)] = variable.data
         self._file = self._file or self._stack.enter_context(self._open(self.path))
         self._append_values(self._file, values, self.steps)
         self._pattern = before.assign_coords(time=fields["time"])
@@ -139,11 +139,6 @@ class Recorder:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-@takes_scene
-def _fields(scene: Scene, request: Request) -> xr.Dataset:
-    return answer(scene, request)
 
 
 def _with_time(fields: xr.Dataset) -> xr.Dataset:

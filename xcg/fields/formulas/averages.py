@@ -296,8 +296,8 @@ def _of_equal_runs(f: xr.Dataset, dim: str, window: int | None) -> xr.Dataset:
     differing = [axis for axis in axes if axis in f.coords and dim in f[axis].dims]
     if differing:
         raise ValueError(_of_different_meshes(dim, differing))
-    definitions = Averaging.of(f, "time_average").definitions
-    definitions = {name: field for name, field in definitions.items() if field}
+    fields = Averaging.of(f, "time_average").definitions
+    definitions = {name: field for name, field in fields.items() if field}
     sums = [name for name, field in definitions.items() if field.additive and dim in f[name].dims]
     if sums:
         lacking = f[sums[0]].isnull().any(dim)

@@ -71,6 +71,15 @@ class Averaging:
                 definitions[name] = field_of_result(f[name])
         return cls(purpose, definitions, options)
 
+    @property
+    def anew(self) -> list[str]:
+        """Fields that are computed anew from averages: neither sums nor ratios of two."""
+        names = []
+        for name, field in self.definitions.items():
+            if field and not (field.additive or field.weight):
+                names.append(name)
+        return names
+
     def to_sums(self, f: xr.Dataset, dims: Sequence[str] = ()) -> xr.Dataset:
         """Return what may be averaged over some dims: additive fields, numerator and denominator of each ratio.
 
@@ -84,14 +93,10 @@ class Averaging:
                 f"{purpose} takes no mean of errors and biases ({', '.join(errors)}): call it before time_average, on "
                 "a result without errors=True"
             )
-        anew = [
-            name
-            for name, field in definitions.items()
-            if field and not field.additive and not field.weight
-        ]
-        if anew:
+        if self.anew:
             required = ("plane", "gradient", "pressure_dims", "deviatoric", "size", "temperature")
-            way_out = f"or leave out what {purpose} computes anew from averages, {', '.join(anew)}"
+            anew = ", ".join(self.anew)
+            way_out = f"or leave out what {purpose} computes anew from averages, {anew}"
             require_facts(f, required, "this result", way_out)
         missing = lacking_sums(definitions, self.options)
         if missing:
@@ -162,12 +167,7 @@ class Averaging:
             if ordered is not None:
                 f = ordered
                 continue
-            derived = [
-                name
-                for name, field in self.definitions.items()
-                if field and not (field.additive or field.weight)
-            ]
-            anew = [name for name in derived if self._takes_tensors(name)]
+            anew = [name for name in self.anew if self._takes_tensors(name)]
             if anew:
                 held = ", ".join(map(str, labels_along(f, dim)))
                 raise ValueError(
@@ -283,10 +283,8 @@ def _without_gaps(f: xr.Dataset, definitions: Mapping[str, Field | None]) -> xr.
     if not any(field and field.across_phases for field in definitions.values()):
         return f
     return f.assign(
-        {
-            name: f[name].fillna(0.0)
-            for name in ("fluctuation_stress", "fluctuation_density_by_pair")
-        }
+        fluctuation_stress=f["fluctuation_stress"].fillna(0.0),
+        fluctuation_density_by_pair=f["fluctuation_density_by_pair"].fillna(0.0),
     )
 
 
