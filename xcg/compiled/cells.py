@@ -36,10 +36,12 @@ from xcg.compiled.reach import (
     ROW,
     ROW2,
     ROW_DOT,
+    BlockNodes,
     Lists,
     X,
     Y,
     Z,
+    lists_for,
     padded,
 )
 from xcg.compiled.simd import (
@@ -265,6 +267,13 @@ def lists_for_points(cells: PointCells, reach: Sequence[float], real: str = "flo
     numbers = np.zeros((NUMBERS, room), "int32")
     numbers[OF_Y] = np.arange(room) * cells.shape[2]
     return Lists(np.zeros((LISTS, room), real), numbers)
+
+
+def lists_of(nodes: BlockNodes, reach: Sequence[float], real: str = "float64") -> Lists:
+    """Make lists of the nodes that a support or branch of the extent `reach` (3,) covers."""
+    if nodes.rows is None:
+        return lists_for_points(nodes.cells, reach, real)
+    return lists_for(nodes.rows, nodes.active, reach, real)
 
 
 @inner

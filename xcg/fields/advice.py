@@ -24,6 +24,7 @@ from xcg.fields.formulas.field import Support
 from xcg.fields.formulas.floors import CONSIDERABLE_FLOOR, UNIT_OF_RATES
 from xcg.fields.formulas.rules import takes_stress_of_step
 from xcg.fields.formulas.variables import OwnField
+from xcg.fields.grids.grid import warn_beyond
 from xcg.fields.layout import LARGE, about_strays, about_width, takes_gradient
 from xcg.fields.plan import Plan
 from xcg.fields.pressures import Pressures, pressures_of, spread_of_contacts
@@ -293,6 +294,10 @@ class ComputedStep:
     def warn(self) -> None:
         """Warn of fields that are unknown, impossible, or far from those of averages; once for each cause."""
         plan = self.plan
+        if not self.reached:
+            self._warn_of_reach()
+        elif plan.nodes.fitted:
+            self._warn_beyond_mesh()
         if plan.undercut is not None:  # the call has warned of the cause
             return
         effects: dict[str, str] = {}
@@ -318,6 +323,41 @@ class ComputedStep:
             texts = [text for about, text in effects.items() if call.is_new(f"few grains: {about}")]
             if texts:
                 self._warn_of_few_grains(texts)
+
+    def _warn_of_reach(self) -> None:
+        """Warn where all grains lie beyond the reach of the nodes, along axes where nothing repeats."""
+        nodes = self.plan.nodes
+        position = self.frame["position"]
+        open_axes = np.flatnonzero(nodes.active & self.lattice.open_axes)
+        if not len(position) or not open_axes.size or not nodes.count:
+            return
+        reach = max(self.plan.cutoffs)
+        low, high = nodes.around(reach)
+        if ((position > low) & (position < high))[:, open_axes].all(axis=1).any():
+            return
+        grains = []
+        of_nodes = []
+        for k in open_axes:
+            axis = COMPONENTS[k]
+            x = position[:, k]
+            grains.append(f"{axis} from {x.min():.6g} to {x.max():.6g}")
+            of_nodes.append(f"{axis} from {nodes.lower[k]:.6g} to {nodes.upper[k]:.6g}")
+        warn_once(
+            "reach",
+            f"{self.source}: no grain reaches any node, so that sums are zero: grains lie at {', '.join(grains)}, "
+            f"nodes at {', '.join(of_nodes)}, and the kernel reaches {reach:.4g}; check bounds=, at= and the units of "
+            "lengths",
+        )
+
+    def _warn_beyond_mesh(self) -> None:
+        """Warn where grains lie beyond a mesh that was laid around others."""
+        nodes = self.plan.nodes
+        room = 0.5 * max(self.plan.cutoffs)
+        for k in np.flatnonzero(self.lattice.open_axes):
+            axis = COMPONENTS[k]
+            if axis in nodes.fitted:
+                x = self.frame["position"][:, k]
+                warn_beyond(axis, x, nodes.lower[k], nodes.upper[k], self.source, room=room)
 
     def _warn_of_few_grains(self, effects: Sequence[str]) -> None:
         """Warn of what few grains at a node do to fields."""

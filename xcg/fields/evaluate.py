@@ -21,7 +21,6 @@ from xcg.fields.advice import ComputedStep
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.tracing import Program, program_for
-from xcg.fields.grids.grid import check_mesh
 from xcg.fields.passes import StepArrays
 from xcg.fields.plan import Plan
 from xcg.fields.ring_means import average_over_rings, reference_of_rings
@@ -120,7 +119,6 @@ class CoarseGraining(FrameAnalysis):
         """Compute the fields of one step (axes, phase, ...)."""
         plan = self.plan
         nodes = plan.nodes
-        check_mesh(frame["position"], nodes, max(plan.cutoffs), lattice.open_axes, source)
         threads = self.threads
         count = len(frame["particle_id"]) + len(frame.get("contact_i", ()))
         if count * (plan.reached + _ONCE) + nodes.count * _ONCE <= WORTH_SHARING:

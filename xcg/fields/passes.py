@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
 from xcg.compiled import points as loops
+from xcg.compiled.cells import lists_of
 from xcg.compiled.reach import BATCH, batches_of, spatial_order
 from xcg.fields.plan import Plan
 from xcg.fields.sums.moments import (
@@ -22,7 +23,7 @@ from xcg.fields.sums.moments import (
     Moment,
     velocities_of_walls,
 )
-from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, lists_of, triple
+from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, triple
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import entries_of, phase_of, without_frozen
 from xcg.scene.lattice import Lattice

@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.compiled.cells import lists_of
 from xcg.compiled.polynomials import closed_for
 from xcg.compiled.reach import BlockNodes, batches_in_reach, no_bounds
 from xcg.compiled.segments import (
@@ -27,7 +28,7 @@ from xcg.compiled.segments import (
 )
 from xcg.fields.passes import Columns, Fill, Pass, StepArrays, alike
 from xcg.fields.sums.moments import Moment
-from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing, lists_of
+from xcg.fields.sums.nodes import DIAMETER, Block, Smoothing
 from xcg.scene.schema import Frame
 
 # Segments of more contacts than this are not kept, as each takes 80 bytes.

@@ -189,55 +189,6 @@ def make_grid(
     )
 
 
-def check_mesh(
-    position: NDArray, nodes: Nodes, cutoff: float, open_axes: NDArray, source: str
-) -> None:
-    """Warn where no grain reaches any node, and where grains lie beyond a mesh that was laid around them.
-
-    Parameters
-    ----------
-    position : array (n, 3)
-        Centres (m).
-    nodes : Nodes
-        The nodes.
-    cutoff : float
-        Radius of the largest support (m).
-    open_axes : array (3,)
-        Axes along which nothing repeats.
-    source : str
-        Names the step.
-    """
-    axes = [k for k, a in enumerate(COMPONENTS) if a in nodes.active_axes and open_axes[k]]
-    if not len(position) or not axes or not nodes.count:
-        return
-    low, high = nodes.around(cutoff)
-    reaches = [(position[:, k] > low[k]) & (position[:, k] < high[k]) for k in axes]
-    if not np.all(reaches, axis=0).any():
-        _warn_of_reach(position, nodes, axes, cutoff, source)
-        return
-    for k, a in enumerate(COMPONENTS):
-        if k in axes and a in nodes.fitted:
-            ends = nodes.lower[k], nodes.upper[k]
-            warn_beyond(a, position[:, k], *ends, source, room=0.5 * cutoff)
-
-
-def _warn_of_reach(
-    x: NDArray, nodes: Nodes, axes: Sequence[int], cutoff: float, source: str
-) -> None:
-    """Warn that no grain at x (n, 3) reaches any node, by their coordinates along some axes."""
-    grains = ", ".join(
-        f"{COMPONENTS[k]} from {x[:, k].min():.6g} to {x[:, k].max():.6g}" for k in axes
-    )
-    ends = zip(COMPONENTS, nodes.lower, nodes.upper, strict=True)
-    spans = [f"{a} from {first:.6g} to {last:.6g}" for a, first, last in ends]
-    of_nodes = ", ".join(spans[k] for k in axes)
-    warn_once(
-        "reach",
-        f"{source}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {of_nodes}, "
-        f"and the kernel reaches {cutoff:.4g}; check bounds=, at= and the units of lengths",
-    )
-
-
 def warn_beyond(
     a: str,
     x: NDArray,

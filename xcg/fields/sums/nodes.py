@@ -18,8 +18,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.compiled.cells import lists_for_points
-from xcg.compiled.reach import BlockNodes, Lists, Rows, lists_for
+from xcg.compiled.reach import BlockNodes, Rows
 from xcg.compiled.rings import Rings
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
 from xcg.compiled.smoothing import KernelCode
@@ -115,13 +114,6 @@ class MeshBlock:
         end = triple((np.array(self.high) - 1) * spacings)
         rows = Rows(self.low, self.high, triple(spacings), triple(1.0 / spacings))
         return BlockNodes(begin, end, *smoothing.surroundings, rows=rows)
-
-
-def lists_of(nodes: BlockNodes, reach: Sequence[float], real: str = "float64") -> Lists:
-    """Make scratch lists for the nodes that a support or branch of the extent `reach` (3,) covers."""
-    if nodes.rows is None:
-        return lists_for_points(nodes.cells, reach, real)
-    return lists_for(nodes.rows, nodes.active, reach, real)
 
 
 @dataclass(eq=False)
