@@ -1,6 +1,7 @@
 """The algebra at the nodes, an instruction at a time over so few nodes that all intermediate results stay in cache."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,16 @@ from xcg.compiled.simd import EIGHT, TILE, stream, transpose8x8
 ) = range(13)
 _LINE = 64  # bytes of a line of the cache
 _OF_NUMBER = np.dtype("float64").itemsize
+_FEWEST = 8  # arrays of a tuple; others have 4, 16, ... times as many
+
+
+def as_tuple(arrays: Sequence[NDArray]) -> tuple[NDArray, ...]:
+    """Return arrays as rows of numbers, filled up to one of few lengths, for each of which `run` is compiled."""
+    rows = [array.reshape(-1) for array in arrays]
+    length = _FEWEST
+    while length < len(rows):
+        length *= 4
+    return (*rows, *[np.empty(0)] * (length - len(rows)))
 
 
 def room_for(rows: int) -> NDArray:

@@ -37,7 +37,6 @@ from xcg.steps.analysis import FrameAnalysis
 from xcg.steps.labels import ABOUT, annotated, phases_of
 
 _PAGE = 4096 // 8  # numbers in a page of memory
-_PADDED = 8  # least length of a tuple of arrays; others are 4, 16, ... times as long
 
 
 def _take_memory(numbers: NDArray) -> None:
@@ -293,7 +292,7 @@ class _Algebra:
         self.program = program_for(plan.fields, plan.options, len(plan.groups))
         if self.program:
             held = self.program.widths
-            self.filled_by_program = _padded([out[name] for name in held])
+            self.filled_by_program = loops.as_tuple([out[name] for name in held])
             self.untraced = tuple(name for name in plan.fields if name not in held)
             self._connect(self.program)
         if self.untraced:
@@ -332,7 +331,7 @@ class _Algebra:
             scratch[: len(self.constants)] = self.constants
             loops.run(
                 self.program.instructions,
-                _padded([array for groups in filled for array in groups]),
+                loops.as_tuple([array for groups in filled for array in groups]),
                 self.columns,
                 self.inputs,
                 self.filled_by_program,
@@ -350,15 +349,6 @@ class _Algebra:
             for name, values in evaluated.items():
                 self.out[name][indices] = values.swapaxes(0, 1)
         return int(np.count_nonzero(~np.isnan(filled[0][0, :, 0])))
-
-
-def _padded(arrays: Sequence[NDArray]) -> tuple[NDArray, ...]:
-    """Return arrays as rows of numbers, filled up to one of few lengths, for each of which the loop is compiled."""
-    rows = [array.reshape(-1) for array in arrays]
-    length = _PADDED
-    while length < len(rows):
-        length *= 4
-    return (*rows, *[np.empty(0)] * (length - len(rows)))
 
 
 def _comment_on_rotation(name: str, options: Options, absent: Sequence[str]) -> dict[str, str]:

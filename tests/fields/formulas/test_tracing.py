@@ -10,7 +10,6 @@ import pytest
 
 import xcg
 from xcg.compiled import program as kernel
-from xcg.fields import evaluate
 from xcg.fields.formulas import algebra as symbols
 from xcg.fields.formulas import registry, tracing
 from xcg.fields.formulas.field import Gradient, Options, Temperature
@@ -174,7 +173,7 @@ def test_symbols_have_no_truth_value_and_no_cubes():
 def test_loops_are_compiled_for_few_numbers_of_arrays():
     for count, padded in ((1, 8), (8, 8), (9, 32), (33, 128)):
         arrays = [np.full(3, k, float) for k in range(count)]
-        tuples = evaluate._padded(arrays)
+        tuples = kernel.as_tuple(arrays)
         assert len(tuples) == padded
         assert all(map(np.shares_memory, arrays, tuples))
 
