@@ -104,20 +104,22 @@ def main() -> None:
     )
     in_mm = {axis: (axis, plane[axis].values * 1e3, {"units": "mm"}) for axis in "xz"}
     plane.assign_coords(in_mm).to_dataset(name="velocity").cg.plot(ax=left)
-    left.set(title=f"a drum, slope {slope:.0f} degrees")
+    left.set(title=f"a drum, slope {slope:.0f}°")
     seen = profile.where(profile.volume_fraction > 0.1)
     middle.plot(seen.velocity.sel(component="x"), seen.z * 1e3)
     middle.plot(OMEGA * seen.z, seen.z * 1e3, "k--", label=r"$\Omega z$")
     middle.set(
         xlabel="velocity down the surface [m s$^{-1}$]",
         ylabel="along its normal [mm]",
-        title="Rotated",
+        title="the drum, rotated axes",
     )
     middle.legend(fontsize=8)
     right.plot(f.r * 1e3, f.velocity.sel(component="theta"))
     right.plot(f.r * 1e3, OMEGA * f.r, "k--", label=r"$\Omega r$")
     right.set(
-        xlabel="$r$ [mm]", ylabel=r"$V_\theta$ [m s$^{-1}$]", title="Cylindrical, 1 rad below"
+        xlabel="$r$ [mm]",
+        ylabel=r"$V_\theta$ [m s$^{-1}$]",
+        title="the drum, 1 rad of its lower half",
     )
     right.legend(fontsize=8)
     last.plot(g.r * 1e3, g.volume_fraction)

@@ -23,6 +23,7 @@ SIZES = {"dmax": "$d_{max}$", "d50": "$d_{50}$", "dbar": r"$\bar d$, by volume"}
 FIELDS = {"stress_ratio": r"$\eta$", "volume_fraction": r"$\phi$", "z_mech": "$Z_{mech}$"}
 RUNS = ("0.01", "0.001", "0.0003", "0.0001")  # inertial numbers with d50
 COLOURS = ("C3", "C1", "C2", "C0")
+MARKERS = ("D", "s", "^", "o")
 
 
 def draw_limits(path: Path) -> None:
@@ -57,22 +58,25 @@ def draw_forces(path: Path) -> None:
     figure, axes = plt.subplots(2, 3, figsize=(12, 7.5), layout="constrained")
     for ax, ratio in zip(axes[0], ratios, strict=True):
         of_ratio = tables["forces"][tables["forces"].ratio == ratio]
-        for run, colour in zip(RUNS, COLOURS, strict=True):
+        for run, colour, marker in zip(RUNS, COLOURS, MARKERS, strict=True):
             table = of_ratio[of_ratio.run == run]
             if table.empty:
                 continue
             density = table.contacts / table.contacts.sum() / (table.high - table.low)
             middle = np.sqrt(table.low * table.high)
-            ax.loglog(middle, density.where(density > 0), color=colour, label=f"$I$ = {run}")
+            seen = density.where(density > 0)
+            ax.loglog(middle, seen, marker, ls="-", ms=3, color=colour, label=f"$I$ = {run}")
         ax.set_title(rf"normal forces, $\chi$ = {ratio:g}")
-        ax.set(xlabel=r"$f / \langle f \rangle$", ylabel="probability density", ylim=(1e-5, 3))
+        ax.set(xlabel=r"$f / \langle f \rangle$", ylabel="probability density", ylim=(1e-5, 8))
         ax.legend(fontsize="small")
         ax.grid(alpha=0.3)
     for ax, ratio in zip(axes[1], drawn, strict=False):
-        for run, colour in zip(RUNS, COLOURS, strict=True):
+        for run, colour, marker in zip(RUNS, COLOURS, MARKERS, strict=True):
             table = partners[(partners.ratio == ratio) & (partners.run == run)]
-            if len(table):
-                ax.plot(table.partners, table.share, "o-", ms=3, color=colour, label=f"$I$ = {run}")
+            if table.empty:
+                continue
+            share = table.share.where(table.share > 0)
+            ax.plot(table.partners, share, marker, ls="-", ms=3, color=colour, label=f"$I$ = {run}")
         ax.set_title(rf"connectivity, $\chi$ = {ratio:g}")
         ax.set(
             xlabel="contacts of a grain", ylabel="share of grains", yscale="log", xlim=(-0.5, 24)

@@ -79,7 +79,9 @@ def main() -> None:
     middle.plot(
         k * load * (top - z) / 1e3, z * 1e3, ":", color="0.5", label="without friction of the side"
     )
-    middle.set(xlabel="pressure on the side [kPa]", ylabel="$z$ [mm]", xlim=(0, 3.5))
+    middle.set(
+        xlabel="pressure on the side [kPa]", ylabel="$z$ [mm]", xlim=(0, 3.5), ylim=(-15, 290)
+    )
     middle.legend(loc="upper right", fontsize=8)
     right.plot(friction / 1e3, friction.z * 1e3, label="upwards on the grains, side")
     right.plot(

@@ -19,6 +19,7 @@ import xcg
 DATA = Path(__file__).parent / "data" / "lammps_pile"
 WIDTH = 2.0
 MIDDLE = 0.0  # x
+COLOURS = ("C0", "C1", "C3")  # of phases
 
 
 def mixture(grains: int = 2000) -> xr.Dataset:
@@ -86,7 +87,7 @@ def draw(ds: xr.Dataset, path: Path) -> None:
         ]
         left.add_collection(
             plt.matplotlib.collections.PatchCollection(
-                circles, facecolor="none", edgecolor=f"C{phase}", lw=0.8
+                circles, facecolor="none", edgecolor=COLOURS[int(phase) - 1], lw=0.8
             )
         )
     f = profile(ds)
@@ -95,7 +96,7 @@ def draw(ds: xr.Dataset, path: Path) -> None:
         colour = "black"
         label = "all phases"
         if phase != "bulk":
-            colour = f"C{phase}"
+            colour = COLOURS[int(phase) - 1]
             label = f"phase {phase}, $d$ = {ds.attrs['phase_diameter'][int(phase) - 1]:g}"
         right.plot(vertical.sel(phase=phase), f.y, color=colour, label=label)
     density = f.density.sel(phase="bulk")
