@@ -129,7 +129,7 @@ def test_deposit_of_points_equals_its_reference(name, axes):
     velocity = rng.normal(size=(9, 3)) + 1e3
     mass = rng.uniform(1, 2, 9)
     constants = rng.normal(size=(9, 4))
-    order = np.arange(9)
+    order = np.arange(9, dtype="int32")  # as of small scenes, for which the loop is compiled anyway
     batches = batches_of(position, order)
     phase = np.zeros(9, "int64")
     grains = Grains(
