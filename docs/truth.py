@@ -23,6 +23,8 @@ PICTURE = Path(__file__).parent / "_static" / "truth.png"
 WIDTHS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 DEFAULT = 0.75
 CLOSE = 0.05
+# within 5 % blue, beyond it yellow to brown, which colour-blind readers tell apart
+COLOURS = ("#74add1", "#c6dff0", "#fee391", "#fec44f", "#fb8c29", "#cc4c02", "#7f2704")
 GROUPS = 8  # of steps, that are left out in turn
 WAYS = ("one step", "average")
 
@@ -278,12 +280,13 @@ def table_of_widths(rows: Sequence[Row]) -> str:
 def draw(rows: Sequence[Row]) -> None:
     """Draw the deviations of all fields, meshes and widths."""
     import matplotlib.pyplot as plt
-    from matplotlib.colors import BoundaryNorm
+    from matplotlib.colors import BoundaryNorm, ListedColormap
 
     groups = groups_of(rows)
     columns = [(mesh, width) for mesh in MESHES for width in WIDTHS if mesh != "box"]
     columns.append(("box", DEFAULT))
     edges = [0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 1.0, 10.0]
+    colours = ListedColormap(COLOURS)
     figure, axes = plt.subplots(
         1, 2, figsize=(13, 0.24 * len(groups) + 1.8), sharey=True, layout="constrained"
     )
@@ -296,12 +299,12 @@ def draw(rows: Sequence[Row]) -> None:
                 column = columns.index((row.mesh, row.width))
                 table[k, column] = row.excess
                 if row.said == "warning":
-                    ax.plot(column, k, "k.", ms=3)
+                    ax.plot(column, k, "ko", ms=2.6, mec="white", mew=0.5)
         image = ax.imshow(
             np.minimum(table, 9.9),
             aspect="auto",
-            cmap="RdYlGn_r",
-            norm=BoundaryNorm(edges, 256),
+            cmap=colours,
+            norm=BoundaryNorm(edges, len(COLOURS)),
             interpolation="nearest",
         )
         ax.set_title(way)
