@@ -72,9 +72,14 @@ def computing():
 def cluster():
     """Cluster of two processes, without a client; it takes seconds to start, so tests share it."""
     distributed = pytest.importorskip("distributed")
+    # its own watches would take a tenth of a core for as long as the session lasts
     settings = {
         "distributed.admin.system-monitor.gil.enabled": False,
+        "distributed.admin.system-monitor.interval": "10s",
+        "distributed.admin.tick.interval": "1s",
+        "distributed.worker.memory.monitor-interval": "5s",
         "distributed.worker.memory.terminate": False,
+        "distributed.worker.profile.enabled": False,
     }
     with (
         dask.config.set(settings),

@@ -6,7 +6,6 @@ import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import dask
-import distributed
 import numpy as np
 import pytest
 
@@ -137,12 +136,6 @@ def test_warnings_from_a_user_thread_point_at_its_line():
     with pytest.warns(xcg.SceneWarning) as said, ThreadPoolExecutor(1) as pool:
         pool.submit(work).result()
     assert line_of(said[0], "# the thread's own line")
-
-
-def test_warnings_of_workers_reach_the_client(cluster):
-    f = without_box().chunk(time=1).cg.coarse_grain("density", axes="z", on_error="skip")
-    with distributed.Client(cluster), pytest.warns(SkippedStep, match="no finite extent"):
-        f.compute()
 
 
 def test_numbers_of_numpy_are_plain_in_messages_and_history():

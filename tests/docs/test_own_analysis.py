@@ -1,4 +1,4 @@
-"""The example of an own analysis: an ideal gas, in memory, lazily and on a cluster."""
+"""The example of an own analysis: an ideal gas, in memory and lazily; `test_distributed` runs it on a cluster."""
 
 import runpy
 
@@ -7,8 +7,7 @@ import pytest
 
 from tests import ROOT, raise_if_dask_computes
 
-distributed = pytest.importorskip("distributed")
-Client = distributed.Client
+pytest.importorskip("distributed")  # which the script imports
 SCRIPT = ROOT / "examples" / "own_analysis.py"
 
 
@@ -22,9 +21,3 @@ def test_the_radial_distribution_of_an_ideal_gas_is_one():
     with raise_if_dask_computes():
         lazy = analysis.run(ds.chunk(time=1))
     np.testing.assert_array_equal(lazy.g, g)
-
-
-def test_the_script_says_that_all_ways_agree(cluster, monkeypatch, capsys):
-    monkeypatch.setattr(distributed, "Client", lambda **_: Client(cluster))
-    runpy.run_path(str(SCRIPT), run_name="__main__")
-    assert capsys.readouterr().out.count("same = True") == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import runpy
 
 import dask
 import h5py
@@ -11,10 +12,12 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests import ROOT
 from tests.analyses import CALLS, moving_spheres
 from tests.benchmarks import series
 from tests.scenes import random_steps, reopen
 from tests.writers.test_save import assert_same_bits
+from xcg.steps.faults import SkippedStep
 
 distributed = pytest.importorskip("distributed")
 STEPS = 5
@@ -55,8 +58,8 @@ def test_fields_under_a_cluster_have_equal_bits(client, scene):
 def test_analyses_have_equal_bits_in_memory_and_under_a_cluster(client, name):
     call = CALLS[name]
     ds = moving_spheres(name)
-    lazy = call(ds.chunk(time=1))
-    assert_same_bits(lazy.compute(), call(ds))
+    expected = call(ds)  # first, so that loops are compiled here, and not in each of the workers
+    assert_same_bits(call(ds.chunk(time=1)).compute(), expected)
 
 
 def test_kernels_of_users_reach_workers(client):
@@ -141,6 +144,21 @@ def test_scene_errors_of_workers_reach_the_client(client, tmp_path):
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(xcg.SceneError, match=r"P_00001\.vtp"):
         ds.cg.coarse_grain(["density"]).compute()
+
+
+def test_warnings_of_workers_reach_the_client(client):
+    ds = xcg.datasets.simple_cubic(3)
+    ds = ds.assign(box=np.nan * ds.box).chunk(time=1)
+    f = ds.cg.coarse_grain("density", axes="z", on_error="skip")
+    with pytest.warns(SkippedStep, match="no finite extent"):
+        f.compute()
+
+
+def test_the_script_of_an_own_analysis_says_that_all_ways_agree(cluster, monkeypatch, capsys):
+    connect = distributed.Client
+    monkeypatch.setattr(distributed, "Client", lambda **_: connect(cluster))
+    runpy.run_path(str(ROOT / "examples" / "own_analysis.py"), run_name="__main__")
+    assert capsys.readouterr().out.count("same = True") == 2
 
 
 def test_a_step_takes_few_tasks(scene):
