@@ -35,6 +35,11 @@ def test_messages_name_the_escaped_particle_and_a_remedy(far):
         one_escaped(far, lazy=True).cg.coarse_grain("density")
 
 
+def test_explain_names_the_escaped_particle_of_a_mesh_that_loops_cannot_count():
+    with pytest.raises(ValueError, match=r"more than 16777216.*particle 17 .* far from the others"):
+        one_escaped(1e12).cg.explain("density")
+
+
 @pytest.mark.parametrize(("lazy", "steps", "factor"), [(False, 1, 1), (False, 3, 3), (True, 3, 1)])
 def test_a_mesh_beyond_memory_raises_before_computing(monkeypatch, lazy, steps, factor):
     """All steps of a scene in memory, one chunk of a lazy one."""
