@@ -107,6 +107,30 @@ def test_a_mesh_that_no_grain_reaches_warns(lazy):
     assert "y from 3 to 3" in only(said)
 
 
+@pytest.mark.parametrize("field", ["number_density", "contact_stress"])
+def test_grains_of_a_middle_step_beyond_the_mesh_warn(field):
+    """Neither takes velocities, by which nodes that grains reach are counted."""
+    pair = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    shifted = pair + np.array([2.5, 0.0, 0.0])
+    one = np.zeros((3, 1), int)
+    ds = xcg.scene_from_arrays(
+        [pair, shifted, pair],
+        diameter=1.0,
+        contact_i=one,
+        contact_j=one + 1,
+        contact_force=np.full((3, 1, 3), [-1.0, 0.0, 0.0]),
+    )
+    for name in ("particle_lower", "particle_upper"):
+        del ds.attrs[name]  # so that the mesh is laid around the first and the last step
+    with pytest.warns(xcg.SceneWarning) as said:
+        ds.cg.coarse_grain(field, width=0.5)
+    text = only(said)
+    assert "grains lie at x from 2.5 to 3.5, and some are not or only partly on the mesh" in text
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ds.cg.coarse_grain(field, width=0.5, bounds={"x": (-1, 5), "y": (-1, 1), "z": (-1, 1)})
+
+
 def test_a_step_without_grains_does_not_warn():
     ds = xcg.scene_from_arrays(
         [np.zeros((0, 3)), np.ones((2, 3))], diameter=[np.zeros(0), np.ones(2)], density=1.0

@@ -278,7 +278,7 @@ class ComputedStep:
     fields : mapping
         Arrays (nodes, phases, ...) by name.
     reached : int
-        Number of nodes that grains reach.
+        Number of nodes that grains reach; 0 where no sum takes velocities.
     scale : float
         1 / (extents of the averaged axes x thickness of the layer).
     """
@@ -294,9 +294,8 @@ class ComputedStep:
     def warn(self) -> None:
         """Warn of fields that are unknown, impossible, or far from those of averages; once for each cause."""
         plan = self.plan
-        if not self.reached:
-            self._warn_of_reach()
-        elif plan.nodes.fitted:
+        out_of_reach = not self.reached and self._warn_of_reach()
+        if plan.nodes.fitted and not out_of_reach:
             self._warn_beyond_mesh()
         if plan.undercut is not None:  # the call has warned of the cause
             return
@@ -324,17 +323,17 @@ class ComputedStep:
             if texts:
                 self._warn_of_few_grains(texts)
 
-    def _warn_of_reach(self) -> None:
-        """Warn where all grains lie beyond the reach of the nodes, along axes where nothing repeats."""
+    def _warn_of_reach(self) -> bool:
+        """Warn where all grains lie beyond the reach of the nodes, along axes where nothing repeats; return whether."""
         nodes = self.plan.nodes
         position = self.frame["position"]
         open_axes = np.flatnonzero(nodes.active & self.lattice.open_axes)
         if not len(position) or not open_axes.size or not nodes.count:
-            return
+            return False
         reach = max(self.plan.cutoffs)
         low, high = nodes.around(reach)
         if ((position > low) & (position < high))[:, open_axes].all(axis=1).any():
-            return
+            return False
         grains = []
         of_nodes = []
         for k in open_axes:
@@ -348,6 +347,7 @@ class ComputedStep:
             f"nodes at {', '.join(of_nodes)}, and the kernel reaches {reach:.4g}; check bounds=, at= and the units of "
             "lengths",
         )
+        return True
 
     def _warn_beyond_mesh(self) -> None:
         """Warn where grains lie beyond a mesh that was laid around others."""

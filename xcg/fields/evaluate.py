@@ -322,7 +322,7 @@ class _Algebra:
         self.fits = True if (program.instructions[:, 0] == loops.FIT).any() else None
 
     def fill(self, block: Block) -> int:
-        """Compute the fields at the nodes of a block; return how many of them grains reach."""
+        """Compute the fields at the nodes of a block; return how many of them have a reference velocity."""
         filled = self.sums.over(block)
         indices = block.indices
         if self.program:
