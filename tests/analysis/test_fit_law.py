@@ -251,6 +251,14 @@ def test_vectors_need_a_component():
         f.cg.fit_law("bagnold")
 
 
+def test_dates_are_no_numbers_to_fit():
+    """They would be nanoseconds since 1970."""
+    times = np.datetime64("2024-01-01", "ns") + np.arange(5) * np.timedelta64(1, "s")
+    f = xr.Dataset({"density": ("time", np.arange(5.0))}, {"time": times})
+    with pytest.raises(ValueError, match=r"'time' holds datetime64\[ns\]; f.assign_coords\(time="):
+        f.cg.fit_law(lambda t, a, b: a + b * t, x="time", y="density")
+
+
 def test_points_without_an_error_among_others_are_left_out_with_a_warning():
     x, y = _exact("phi_of_I")
     sigma = np.full(len(x), 0.01)

@@ -318,6 +318,11 @@ def _table(f: xr.Dataset, row: Law) -> xr.Dataset:
     for name, of in (("law_x", row.x), ("law_y", row.y)):
         if of not in f.variables:
             raise ValueError(unknown("variable", of, f.variables))
+        if f[of].dtype.kind not in "fiub":
+            raise ValueError(
+                f"fit_law: expected numbers, and {of!r} holds {f[of].dtype}; "
+                f"f.assign_coords({of}=...) gives others, such as seconds"
+            )
         columns[name] = f[of].astype(float)
         columns[f"{name}_error"] = f.get(f"{of}_error", xr.DataArray(np.nan))
     if vectors := {"component", "direction"} & {*columns["law_x"].dims, *columns["law_y"].dims}:

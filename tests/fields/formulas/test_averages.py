@@ -148,6 +148,15 @@ def test_moving_windows():
         f.cg.time_average(every=2)
 
 
+def test_windows_of_dates_and_durations_lie_at_their_mean_time():
+    f = random_steps(4).cg.coarse_grain("density", axes="z", width=0.8)
+    durations = np.arange(4) * np.timedelta64(200, "ms")
+    for start in (np.timedelta64(0, "ms"), np.datetime64("2024-02-28T23:59:59.5", "ms")):
+        moving = f.assign_coords(time=start + durations).cg.time_average(window=2)
+        expected = (start + np.array([100, 300, 500]) * np.timedelta64(1, "ms")).tolist()
+        assert moving.time.values.astype(start.dtype).tolist() == expected
+
+
 def test_moving_windows_of_a_lazy_result():
     """Fields that follow from tensors are computed anew in each window, lazily as in memory."""
     f = (

@@ -228,8 +228,16 @@ def _samples_of(f: T, dim: str, steps: NDArray | None) -> T:
     if steps is None:
         return f.rename({dim: _SAMPLE}).drop_vars(_SAMPLE, errors="ignore")
     samples = f.drop_vars("time").isel(time=xr.DataArray(steps, dims=("time", _SAMPLE)))
-    middle = f["time"].to_numpy()[steps].mean(axis=1)
+    middle = _mean_times(f["time"].to_numpy()[steps])
     return samples.assign_coords(time=("time", middle, f["time"].attrs))
+
+
+def _mean_times(times: NDArray) -> NDArray:
+    """Return the mean time of each window (windows, steps): of numbers, durations or dates."""
+    if times.dtype.kind in "fiu":
+        return times.mean(axis=1)
+    first = times[:, :1]
+    return first[:, 0] + (times - first).mean(axis=1)
 
 
 def _beside(
