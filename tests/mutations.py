@@ -675,7 +675,7 @@ TABLE = [
         "test_falls_to_interpolates_where_values_fall_below_a_level",
     ),
     Mutation(
-        "analysis/diffusion.py", "first_step[indices[stay]] <= t - lag", "first_step[indices[stay]] <= t",
+        "analysis/diffusion.py", "first_step[indices[stay]] <= first", "first_step[indices[stay]] < len(counts)",
         "test_grains_that_come_back_count_as_new",
     ),
     Mutation(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -33,6 +33,7 @@ from xcg.steps.labels import (
 )
 from xcg.steps.mapping import each_step
 
+T = TypeVar("T")
 _TENSOR = ("component", "direction")
 _ABOUT = {
     "mean_squared_displacement": ("m^2", "mean squared displacement"),
@@ -122,12 +123,7 @@ def mean_squared_displacement(
     """
     ds = scene.ds
     scene.require((), "mean_squared_displacement")
-    scene.require_ids("mean_squared_displacement")
-    steps = ds.sizes["time"]
-    chosen = chosen_lags(lags, steps, "mean_squared_displacement")
-    require_known_times(ds, "mean_squared_displacement")
-    interval = evenly_spaced(ds["time"].to_numpy(), "times")
-    at = interval * np.array(chosen)
+    chosen, at = _lags_of(scene, lags, "mean_squared_displacement")
     used = _range(fit, at)
     groups = scene.groups(by, groups)
     sums, counts = _sums(ds, chosen, by, groups, remove_drift)
@@ -154,30 +150,15 @@ def mean_squared_displacement(
             {"self_diffusion": tensor, "diffusion_coefficient": _trace(tensor, plane) / len(plane)}
         )
 
-    of_lags = [
-        block_errors(samples.isel(lag=[k], first=slice(0, steps - lag)), "first", means)
-        for k, lag in enumerate(chosen)
-    ]
-    values = means(samples.sum("first"))
-    errors = xr.concat(of_lags, "lag")
+    values, errors = _means_of_pairs(samples, chosen, means)
     if used.size:
-        common = samples.isel(first=slice(0, steps - chosen[used[-1]]))
+        common = samples.isel(first=slice(0, ds.sizes["time"] - chosen[used[-1]]))
         values = values.merge(slope(samples.sum("first")))
         errors = errors.merge(block_errors(common, "first", slope))
-    system = scene.setup.unit_system
-    second = units_in("s", system)
-    data: dict[str, Any] = dict(with_errors(values, errors, _ABOUT, system))
-    pairs = samples["count"].sum("first").astype("int64")
-    data["pair_count"] = labelled(pairs, "1", "number of displacements")
-    call = call_of(
-        "mean_squared_displacement",
-        {"lags": chosen, "by": by, "remove_drift": remove_drift, "fit": fit},
-    )
-    coords = {
-        "lag": annotated("lag", at, second, "time between the steps of a pair"),
-        "steps": annotated("lag", chosen, "1", "steps between"),
-    }
-    result = xr.Dataset(data, attrs=provenance(ds, call)).assign_coords(coords)
+    data = with_errors(values, errors, _ABOUT, scene.setup.unit_system)
+    result = _labelled(scene, data, samples, chosen, "number of displacements")
+    options = {"lags": chosen, "by": by, "remove_drift": remove_drift, "fit": fit}
+    result.attrs = provenance(ds, call_of("mean_squared_displacement", options))
     if by is not None:
         result = result.assign_coords(phase=phases_of(by, groups))
     return with_phase_labels(result)
@@ -237,27 +218,23 @@ def velocity_autocorrelation(
     """
     ds = scene.ds
     scene.require(("velocity",), "velocity_autocorrelation")
-    scene.require_ids("velocity_autocorrelation")
-    steps = ds.sizes["time"]
-    chosen = [0, *chosen_lags(lags, steps, "velocity_autocorrelation")]
-    require_known_times(ds, "velocity_autocorrelation")
-    interval = evenly_spaced(ds["time"].to_numpy(), "times")
-    axes = list(scene.setup.axes)
-    sums = np.zeros((steps, len(chosen), 3))  # of products, of squares at the first step, of pairs
-    recent: deque[tuple[NDArray, NDArray]] = deque(maxlen=chosen[-1] + 1)
-    for t, (ids, velocity) in enumerate(_velocities(ds, axes, remove_drift)):
-        recent.append((ids, velocity))
-        for k, lag in enumerate(chosen):
-            if lag > t:
-                continue
-            old_ids, old_velocity = recent[-1 - lag]
-            indices = indices_of(ids, old_ids)
-            stay = indices >= 0
-            products = (old_velocity[stay] * velocity[indices[stay]]).sum()
-            sums[t - lag, k] = products, (old_velocity[stay] ** 2).sum(), stay.sum()
+    chosen, at = _lags_of(scene, lags, "velocity_autocorrelation")
+    chosen = [0, *chosen]
+    at = np.append(0.0, at)
+    # of products, of squares at the first step, of pairs
+    sums = np.zeros((3, ds.sizes["time"], len(chosen)))
+    velocities = _velocities(ds, list(scene.setup.axes), remove_drift)
+    for first, k, (old_ids, old_velocity), (ids, velocity) in _pairs_of_steps(velocities, chosen):
+        indices = indices_of(ids, old_ids)
+        stay = indices >= 0
+        old_velocity = old_velocity[stay]
+        products = (old_velocity * velocity[indices[stay]]).sum()
+        sums[:, first, k] = products, (old_velocity**2).sum(), stay.sum()
+    dims = ("first", "lag")
+    of_products, of_squares, counts = sums
     samples = xr.Dataset(
-        {name: (("first", "lag"), sums[..., n]) for n, name in enumerate(("sum", "size", "count"))},
-        {"lag": interval * np.array(chosen)},
+        {"sum": (dims, of_products), "size": (dims, of_squares), "count": (dims, counts)},
+        {"lag": at},
     )
 
     def means(sums: xr.Dataset) -> xr.Dataset:
@@ -268,21 +245,58 @@ def velocity_autocorrelation(
             }
         )
 
-    of_lags = [
-        block_errors(samples.isel(lag=[k], first=slice(0, steps - lag)), "first", means)
-        for k, lag in enumerate(chosen)
-    ]
-    system = scene.setup.unit_system
-    values = means(samples.sum("first"))
-    data: dict[str, Any] = dict(with_errors(values, xr.concat(of_lags, "lag"), _ABOUT, system))
-    pairs = samples["count"].sum("first").astype("int64")
-    data["pair_count"] = labelled(pairs, "1", "number of pairs of velocities")
-    coords = {
-        "lag": annotated("lag", samples["lag"], units_in("s", system), "time between two steps"),
-        "steps": annotated("lag", chosen, "1", "steps between"),
-    }
+    values, errors = _means_of_pairs(samples, chosen, means)
+    data = with_errors(values, errors, _ABOUT, scene.setup.unit_system)
+    result = _labelled(scene, data, samples, chosen, "number of pairs of velocities")
     call = call_of("velocity_autocorrelation", {"lags": chosen, "remove_drift": remove_drift})
-    return xr.Dataset(data, attrs=provenance(ds, call)).assign_coords(coords)
+    return result.assign_attrs(provenance(ds, call))
+
+
+def _lags_of(
+    scene: Scene, lags: int | Sequence[int] | None, purpose: str
+) -> tuple[list[int], NDArray]:
+    """Return lags in steps and in s; raise unless grains have ids, and steps equal distances in time."""
+    scene.require_ids(purpose)
+    chosen = chosen_lags(lags, scene.ds.sizes["time"], purpose)
+    require_known_times(scene.ds, purpose)
+    return chosen, evenly_spaced(scene.ds["time"].to_numpy(), "times") * np.array(chosen)
+
+
+def _pairs_of_steps(states: Iterable[T], lags: Sequence[int]) -> Iterator[tuple[int, int, T, T]]:
+    """Yield first step, position of the lag, and both states of each pair of steps; keep as many as the longest lag."""
+    recent: deque[T] = deque(maxlen=lags[-1] + 1)
+    for t, now in enumerate(states):
+        recent.append(now)
+        for k, lag in enumerate(lags):
+            if lag <= t:
+                yield t - lag, k, recent[-1 - lag], now
+
+
+def _means_of_pairs(
+    samples: xr.Dataset, lags: Sequence[int], means: Callable[[xr.Dataset], xr.Dataset]
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return means over pairs of steps by lag, and their errors, from sums by first step of the pair."""
+    errors = []
+    for k, lag in enumerate(lags):
+        of_lag = samples.isel(lag=[k], first=slice(0, samples.sizes["first"] - lag))
+        errors.append(block_errors(of_lag, "first", means))
+    return means(samples.sum("first")), xr.concat(errors, "lag")
+
+
+def _labelled(
+    scene: Scene,
+    data: Mapping[str, xr.DataArray],
+    samples: xr.Dataset,
+    lags: Sequence[int],
+    counted: str,
+) -> xr.Dataset:
+    """Return a result by lag, with the number of its pairs, which are what is `counted`."""
+    pairs = labelled(samples["count"].sum("first").astype("int64"), "1", counted)
+    second = units_in("s", scene.setup.unit_system)
+    return xr.Dataset({**data, "pair_count": pairs}).assign_coords(
+        lag=annotated("lag", samples["lag"], second, "time between the steps of a pair"),
+        steps=annotated("lag", lags, "1", "steps between"),
+    )
 
 
 def _frames(ds: xr.Dataset, names: Sequence[str]) -> Iterator[tuple[Frame, Lattice, str]]:
@@ -392,23 +406,17 @@ def _sums(
     remove_drift: bool,
 ) -> tuple[NDArray, NDArray]:
     """Sum u u, and count grains, by first step of the pair, lag and phase, all of them first."""
-    steps = ds.sizes["time"]
     phases = max(1, len(groups))
-    sums = np.zeros((steps, len(lags), phases, 3, 3))
-    counts = np.zeros((steps, len(lags), phases))
-    recent: deque[_Displaced] = deque(maxlen=lags[-1] + 1)
-    for t, now in enumerate(_displacements(ds, by, groups, remove_drift)):
-        recent.append(now)
-        for k, lag in enumerate(lags):
-            if lag > t:
-                continue
-            then = recent[-1 - lag]
-            indices = indices_of(now.ids, then.ids)
-            stay = indices >= 0
-            stay[stay] = now.first_step[indices[stay]] <= t - lag
-            moved = now.displacement[indices[stay]] - then.displacement[stay]
-            for phase in range(phases):
-                of_phase = moved[then.phase[stay] == phase]
-                sums[t - lag, k, phase] = of_phase.T @ of_phase
-                counts[t - lag, k, phase] = len(of_phase)
+    counts = np.zeros((ds.sizes["time"], len(lags), phases))
+    sums = np.zeros((*counts.shape, 3, 3))
+    displaced = _displacements(ds, by, groups, remove_drift)
+    for first, k, then, now in _pairs_of_steps(displaced, lags):
+        indices = indices_of(now.ids, then.ids)
+        stay = indices >= 0
+        stay[stay] = now.first_step[indices[stay]] <= first
+        moved = now.displacement[indices[stay]] - then.displacement[stay]
+        for phase in range(phases):
+            of_phase = moved[then.phase[stay] == phase]
+            sums[first, k, phase] = of_phase.T @ of_phase
+            counts[first, k, phase] = len(of_phase)
     return with_bulk(sums, axis=2), with_bulk(counts, axis=2)
