@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -55,9 +55,45 @@ class ContactSides:
         return cls(contacts, backbone, tangential, contacts.sum_over_particles(virial_i, virial_j))
 
 
+class _Arrays:
+    """Arrays of a sample, without those that the scene lacks.
+
+    Attributes
+    ----------
+    position, velocity, diameter, volume, mass : array (n, ...)
+        The particles of the group.
+    partners, backbone : array (n,)
+        Number of contact partners, and whether they hold the particle in place.
+    virial : array (3, 3)
+        Sum of f a over the particles' sides of their contacts.
+    weight, normal : array (c, ...)
+        The contacts of the group; a contact weighs half for each of its particles in the group, 1
+        at a wall.
+    pushing, normal_force, tangential_force : array (c,)
+        Weights of the contacts that have a positive normal force, and their forces.
+    clusters : Clusters
+        Which grains of the group contacts between them connect.
+    """
+
+    position: NDArray
+    velocity: NDArray
+    diameter: NDArray
+    volume: NDArray
+    mass: NDArray
+    partners: NDArray
+    backbone: NDArray
+    virial: NDArray
+    weight: NDArray
+    normal: NDArray
+    pushing: NDArray
+    normal_force: NDArray
+    tangential_force: NDArray
+    clusters: Clusters
+
+
 @dataclass(eq=False, repr=False)
-class Sample:
-    """Particles and contacts of one group at one time; without the arrays that the scene lacks.
+class Sample(_Arrays):
+    """Particles and contacts of one group at one time.
 
     Attributes
     ----------
@@ -75,19 +111,6 @@ class Sample:
         The group: 0 the bulk, 1, 2, ... the phases.
     mixture : Mixture or None
         All grains of the region by phase.
-    position, velocity, diameter, volume, mass : array (n, ...)
-        The particles of the group.
-    partners, backbone : array (n,)
-        Number of contact partners, and whether they hold the particle in place.
-    virial : array (3, 3)
-        Sum of f a over the particles' sides of their contacts.
-    weight, normal : array (c, ...)
-        The contacts of the group; a contact weighs half for each of its particles in the group, 1
-        at a wall.
-    pushing, normal_force, tangential_force : array (c,)
-        Weights of the contacts that have a positive normal force, and their forces.
-    clusters : Clusters
-        Which grains of the group contacts between them connect.
     """
 
     count: int
@@ -99,20 +122,6 @@ class Sample:
     force_bins: NDArray
     which: int = 0
     mixture: Mixture | None = None
-    position: NDArray = field(init=False)
-    velocity: NDArray = field(init=False)
-    diameter: NDArray = field(init=False)
-    volume: NDArray = field(init=False)
-    mass: NDArray = field(init=False)
-    partners: NDArray = field(init=False)
-    backbone: NDArray = field(init=False)
-    virial: NDArray = field(init=False)
-    weight: NDArray = field(init=False)
-    normal: NDArray = field(init=False)
-    pushing: NDArray = field(init=False)
-    normal_force: NDArray = field(init=False)
-    tangential_force: NDArray = field(init=False)
-    clusters: Clusters = field(init=False)
 
     def add_contacts(self, sides: ContactSides, member: NDArray) -> None:
         """Add the contacts of the particles that a mask (n,) of the frame selects.
@@ -124,7 +133,7 @@ class Sample:
         is_member = np.append(member, False)  # row -1 is a missing partner
         members = is_member[contacts.i].astype(float) + is_member[contacts.j]
         particles = (contacts.i >= 0).astype(int) + (contacts.j >= 0)
-        weight = np.divide(members, particles, out=np.zeros(len(particles)), where=particles > 0)
+        weight = members / np.maximum(particles, 1)
         counted = weight > 0
         self.weight = weight[counted]
         self.normal = contacts.normal[counted]

@@ -26,7 +26,8 @@ def _dashboard(jobs: int | None) -> Iterator[None]:
     from xcg.common.checks import extra
 
     extra("bokeh", "dashboard", "--dashboard")
-    with extra("distributed", "dashboard", "--dashboard").Client(
+    distributed = extra("distributed", "dashboard", "--dashboard")
+    with distributed.Client(
         processes=False,
         n_workers=1,
         threads_per_worker=jobs or os.cpu_count(),
@@ -105,13 +106,6 @@ def _follow(job: Job, steps: Iterator[tuple[int, int]], *, quiet: bool) -> int:
     return count
 
 
-def _added(of_job: Any, names: Any) -> Any:
-    """Return the names of a job and further ones, where both are mappings; else the further ones."""
-    if isinstance(of_job, Mapping) and isinstance(names, Mapping):
-        return {**of_job, **names}
-    return names
-
-
 @click.command()
 @click.argument("config", type=click.Path(exists=True, dir_okay=False))
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
@@ -169,7 +163,10 @@ def run(
         job = read_config(Path(config).absolute())
         job = replace(job, **passed({"on_error": on_error, "scheduler": scheduler}))
         if names is not None:
-            job = replace(job, scene=job.scene | {"names": _added(job.scene.get("names"), names)})
+            of_job = job.scene.get("names")
+            if isinstance(of_job, Mapping) and isinstance(names, Mapping):
+                names = {**of_job, **names}
+            job = replace(job, scene=job.scene | {"names": names})
         if dry_run:
             click.echo(printable(_outline(job)))
             return

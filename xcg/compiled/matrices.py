@@ -89,10 +89,9 @@ def _rotate(matrix, vectors, p, q, turns, cosine, sine):
         cosine[n], sine[n] = (c, s) if turn else (1.0, 0.0)
     for k in range(3):
         _turn_rows(matrix[k, p], matrix[k, q], cosine, sine)
+        _turn_rows(vectors[k, p], vectors[k, q], cosine, sine)
     for k in range(3):
         _turn_rows(matrix[p, k], matrix[q, k], cosine, sine)
-    for k in range(3):
-        _turn_rows(vectors[k, p], vectors[k, q], cosine, sine)
 
 
 @inner

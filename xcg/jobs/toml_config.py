@@ -44,6 +44,11 @@ def read_toml(path: Path) -> Job:
         )
     output = data.get("output", {})
     _check_output(path, output)
+    encoding = {name: output[name] for name in _ENCODING if name in output}
+    try:
+        Encoding.of(xr.Dataset(), **encoding)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{path}: [output] has {error}") from None
     scene = _with_paths(path, data["scene"])
     phases = data.get("phases")
     if phases and "mapping" in phases:
@@ -63,7 +68,7 @@ def read_toml(path: Path) -> Job:
         name=output.get("name", "fields"),
         netcdf=bool(output.get("netcdf", True)),
         vtkhdf=output.get("vtkhdf") or "",
-        encoding={name: output[name] for name in _ENCODING if name in output},
+        encoding=encoding,
         on_error=on_error,
         scheduler=scheduler,
     )
@@ -85,10 +90,6 @@ def _check_output(path: Path, output: dict[str, Any]) -> None:
             f"{path}: name = {name!r} in [output]: expected the name of a file "
             "without its folder and suffix"
         )
-    try:
-        Encoding.of(xr.Dataset(), **{key: output[key] for key in _ENCODING if key in output})
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"{path}: [output] has {error}") from None
     vtkhdf = output.get("vtkhdf", "")
     if vtkhdf not in ("steps", "temporal", "", False):
         raise SceneError(
