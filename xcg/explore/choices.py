@@ -148,6 +148,12 @@ class Pictures:
         self._dim = "time" if "time" in ds.dims else "step"  # of steps, in calls
         self.steps = self.ds.sizes.get("time", 1)
         self._describe()
+        self.views: dict[str, list[tuple[str, ...]]] = {}
+        if self.widths or len(self.plane) == 2:
+            self.views["map"] = self._pairs()
+        if len(self.plane) == 3:
+            self.views["slice"] = self._pairs()
+        self.views["profile"] = [(a,) for a in reversed(self.plane)]
         self._step = lru_cache(maxsize=2)(self._read)
 
     def _describe(self) -> None:
@@ -163,12 +169,6 @@ class Pictures:
         self.axes = self._labels_of("component")
         self.phases = self._labels_of("phase")
         self.drawn_phases = self.phases
-        self.views: dict[str, list[tuple[str, ...]]] = {}
-        if len(self.plane) == 2:
-            self.views["map"] = [tuple(self.plane)]
-        if len(self.plane) == 3:
-            self.views["slice"] = self._pairs()
-        self.views["profile"] = [(a,) for a in reversed(self.plane)]
 
     def _pairs(self) -> list[tuple[str, ...]]:
         """Return the axes of maps: the first and the last axis come first."""
@@ -257,7 +257,9 @@ class Pictures:
 
     def picture(self, choice: Choice) -> xr.Dataset:
         """Return the numbers of the picture and its arrows, as `plot` draws them; ``attrs["drawn"]`` is its name."""
-        arrows = None if choice.view == "profile" else choice.arrows
+        arrows = choice.arrows
+        if choice.view == "profile":
+            arrows = None
         return picture_of(self.result(choice), choice.field, arrows=arrows, **self._drawing(choice))
 
     def call(self, choice: Choice) -> str:
@@ -287,22 +289,21 @@ class ScenePictures(Pictures):
         self.size = self.scene.sizes.get("d43", 0.0)
         self.plane = list(self.scene.setup.plane)
         possible = possible_fields(self.scene, Request())
-        lacking = {name: missing_for(name, self.scene) for name in listed() if name not in possible}
+        on_request = {}
+        impossible = {}
+        for name in listed():
+            missing = missing_for(name, self.scene)
+            if missing:
+                impossible[f"{name} (needs {', '.join(missing)})"] = name
+            elif name not in possible:
+                on_request[name] = name
         self.fields = {
-            "of this scene": {name: name for name in possible},
-            "on request": {name: name for name, missing in lacking.items() if not missing},
-            "not of this scene": {
-                f"{name} (needs {', '.join(missing)})": name
-                for name, missing in lacking.items()
-                if missing
-            },
+            "of this scene": dict(zip(possible, possible, strict=True)),
+            "on request": on_request,
+            "not of this scene": impossible,
         }
-        self.vectors = [name for name in ("velocity",) if name in possible]
+        self.vectors = ["velocity"] if "velocity" in possible else []
         self.axes = self.plane
-        self.views = {"map": self._pairs()}
-        if len(self.plane) == 3:
-            self.views["slice"] = self._pairs()
-        self.views["profile"] = [(a,) for a in reversed(self.plane)]
         self.by = next((name for name in ("phase", "species") if name in self.ds), None)
         groups = self.scene.values(self.by) if self.by else []
         self.phases = []
@@ -428,8 +429,9 @@ class ScenePictures(Pictures):
             raise ValueError(f"{choice.field} is an error itself, and has none of its own")
         step = self._step(choice.time)
         request = self._request(choice)
-        names = {"axes", "at", "extent"}
-        nodes = {key: value for key, value in request.items() if key in names}
+        nodes: dict[str, Any] = {
+            name: request[name] for name in ("axes", "at", "extent") if name in request
+        }
         far = self._longest(choice) / NODES_OF_ERRORS[choice.view]
         nodes["spacing"] = min(far, 1.9 * self.size)  # the narrowest kernel still sees all grains
         if f"{choice.field}_error" in FIELDS:

@@ -102,8 +102,9 @@ class Report:
             self._resembling(),
             self._only_normal(),
         ]
-        if any(sentences):
-            warn_user(f"{self.source}: {'; '.join(filter(None, sentences))}")
+        text = "; ".join(filter(None, sentences))
+        if text:
+            warn_user(f"{self.source}: {text}")
 
     def _slots(self) -> Mapping[str, str]:
         """Return the slot of each alias."""
@@ -114,11 +115,12 @@ class Report:
         """Return the columns of arrays of contacts with walls (LAMMPS), by the name of the array."""
         if self.contacts:
             return {}
-        first = {name.removesuffix("[1]") for name in self.unread if name.startswith("f_")}
-        arrays = {
-            array: [f"{array}[{k}]" for k in range(1, WALL_ARRAY + 1)] for array in sorted(first)
-        }
-        return {array: names for array, names in arrays.items() if {*names} <= {*self.unread}}
+        arrays = {}
+        for array in sorted({name.partition("[")[0] for name in self.unread}):
+            names = [f"{array}[{k}]" for k in range(1, WALL_ARRAY + 1)]
+            if array.startswith("f_") and {*names} <= {*self.unread}:
+                arrays[array] = names
+        return arrays
 
     def _wall_arrays(self) -> list[str]:
         """Name arrays of contacts with walls, and the argument that reads them."""
@@ -178,20 +180,20 @@ class Report:
         """Name columns that are called as a variable that another one fills."""
         aliases = self._slots()
         filled = {slot: column for column, slot in self.read.items()}
-        twins = [(name, aliases.get(canonical(name))) for name in self.unread]
-        return [
-            f"both {filled[slot]!r} and {name!r} may be {slot!r}, and {filled[slot]!r} is read; drop one of them, "
-            f"names={{{name!r}: None}}"
-            for name, slot in twins
-            if slot in filled and not self.whole_vectors
-        ]
+        sentences = []
+        for name in () if self.whole_vectors else self.unread:
+            slot = aliases.get(canonical(name))
+            if slot in filled:
+                sentences.append(
+                    f"both {filled[slot]!r} and {name!r} may be {slot!r}, and {filled[slot]!r} is read; drop one of "
+                    f"them, names={{{name!r}: None}}"
+                )
+        return sentences
 
     def likely(self) -> dict[str, str]:
         """Return the variable that each column which is not read resembles."""
         reported = {*self._suspects(), *chain(*self._arrays_of_walls().values())}
-        others = [
-            name for name in self.unread if name not in reported and not name.endswith(OF_CELLS)
-        ]
+        others = [n for n in self.unread if n not in reported and not n.endswith(OF_CELLS)]
         return resembling(others, self.read.values(), contacts=self.contacts)
 
     def _resembling(self) -> str:
@@ -268,9 +270,8 @@ def warn_of_columns(
                 name for name, meant in report.likely().items() if meant in ("radius", "diameter")
             ]
             explained = engine.explained(ref, options, sizes)
-            report = replace(
-                report, unread=tuple(name for name in report.unread if name not in explained)
-            )
+            unread = tuple(name for name in report.unread if name not in explained)
+            report = replace(report, unread=unread)
         report.warn()
         if "units" not in options.given:
             report.warn_of_unknown_units()
