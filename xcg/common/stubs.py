@@ -12,7 +12,7 @@ _PACKAGE = Path(__file__).parents[1]
 @cache  # the accessor reads its own again
 def read_stub(name: str) -> list[ast.stmt]:
     """Return the statements of a stub of the package, such as "accessor.pyi"."""
-    return ast.parse((_PACKAGE / name).read_text()).body
+    return ast.parse((_PACKAGE / name).read_text("utf-8")).body
 
 
 def modules_of(stub: list[ast.stmt]) -> dict[str, str]:
