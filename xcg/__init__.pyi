@@ -10,7 +10,8 @@ from .analysis.chain_selection import BoxRegion, Region, Sphere
 from .analysis.pairs import find_pairs
 from .common.messages import SceneError, SceneWarning
 from .fields.formulas.field import Conduction, Flux, Mean, Sum, Variance
-from .fields.formulas.registry import FIELDS, register_field
+from .fields.formulas.registration import register_field
+from .fields.formulas.registry import FIELDS
 from .fields.grids.frames import Cylindrical, Rotated
 from .fields.grids.walls import Cylinder, Plane, Surface
 from .fields.presets.lammps import lammps_mesh

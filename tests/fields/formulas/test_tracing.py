@@ -13,7 +13,7 @@ from xcg.compiled import program as kernel
 from xcg.fields.formulas import algebra as symbols
 from xcg.fields.formulas import registry, tracing
 from xcg.fields.formulas.field import Gradient, Options, Temperature
-from xcg.fields.formulas.registry import _made_up
+from xcg.fields.formulas.registration import _made_up
 from xcg.fields.formulas.rows import orientation
 
 # scenes here hold no directors, and axes of tensors are found by NumPy, see test_orientation and test_rheology
