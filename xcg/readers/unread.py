@@ -193,15 +193,13 @@ def unread_format(path: str) -> UnreadFormat | None:
     """Return the format of a file if it is known and not read."""
     with scanned(path) as scanner:
         head = scanner.sample(_HEAD)
+    if compression(path) and b"\0" in head:
+        return UnreadFormat("a compressed binary file", "unpack it")
     return next((form for form in _FORMATS if form.fits(head, suffix_of(path))), None)
 
 
 def refuse_unread(path: str) -> None:
     """Raise SceneError if a file is of a format that is known and not read."""
     form = unread_format(path)
-    with scanned(path) as scanner:
-        is_binary = b"\0" in scanner.sample(_HEAD)
-    if is_binary and compression(path):
-        raise SceneError(f"{path} is a compressed binary file, which xcg does not read; unpack it")
     if form:
         raise SceneError(f"{path} is {form.what}, which xcg does not read; {form.way}")
