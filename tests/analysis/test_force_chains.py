@@ -285,12 +285,12 @@ def square(angle, across=1.0):
 
 
 @pytest.mark.parametrize("algorithm", ["branching", "peters2005"])
-@pytest.mark.parametrize("alpha", [10, 45, 80])
-def test_grains_of_isotropic_stress_have_no_direction(algorithm, alpha):
+@pytest.mark.parametrize(("alpha", "first"), [(10, 0), (45, 1), (80, 2)])
+def test_grains_of_isotropic_stress_have_no_direction(algorithm, alpha, first):
     """Five grains bear the same along both axes: the axis that rounding chooses is no direction."""
     options = {"alpha": alpha, "algorithm": algorithm}
     expected = chains_of(square(0.0, across=0.999).cg.force_chains(**options))
-    for angle in np.linspace(0, np.pi, 37):
+    for angle in np.linspace(0, np.pi, 37)[first::3]:
         fc = square(angle).cg.force_chains(**options).isel(time=0)
         assert fc.isotropic.values.tolist() == [1, 0, 1, 0, 1, 1, 1, 0, 0]
         assert np.isnan(fc.major_direction.values[fc.isotropic.values == 1]).all()
