@@ -225,3 +225,11 @@ def test_results_say_that_forces_are_estimated():
     f = found.cg.coarse_grain("contact_stress", axes="z")
     assert f.attrs["estimated_forces"].startswith("normal force from the overlap of spheres")
     assert "forces:" in repr(f.cg)
+
+
+def test_a_lazy_box_makes_contacts_lazy():
+    ds = random_steps(2)
+    eager = ds.cg.find_contacts(k_n=1.0)
+    lazy = ds.assign(box=ds.box.chunk(time=1)).cg.find_contacts(k_n=1.0).compute()
+    count = eager.sizes["contact"]
+    xr.testing.assert_equal(lazy.contact_i.isel(contact=slice(0, count)), eager.contact_i)

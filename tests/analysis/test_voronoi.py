@@ -218,6 +218,14 @@ def test_lazy_results_are_those_in_memory():
     assert (lazy.face_i.isel(face=slice(eager.sizes["face"], None)) == -1).all()
 
 
+@pytest.mark.parametrize("name", ["diameter", "box"])
+def test_faces_of_a_scene_that_is_lazy_in_part_are_those_in_memory(name):
+    ds = xr.concat([_scene(seed) for seed in (1, 2, 3)], "time", data_vars="all")
+    eager = ds.cg.voronoi(faces=True)
+    lazy = ds.assign({name: ds[name].chunk(time=1)}).cg.voronoi(faces=True).compute()
+    xr.testing.assert_equal(lazy.isel(face=slice(0, eager.sizes["face"])), eager)
+
+
 def test_bounds_are_the_ends_of_open_axes():
     ds = _scene(periodic="xy", ends="xy")
     with pytest.raises(xcg.SceneError, match="cells need ends along z"):

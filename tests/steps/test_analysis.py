@@ -157,6 +157,33 @@ def test_wrong_results_are_errors_of_the_program(analysis, message):
         analysis.run(_scene(), on_error="skip")
 
 
+class _Listed(_MeanSpeed):
+    """Numbers of any length, a dimension whose length is that of the longest step."""
+
+    def rows(self, scene):
+        return {"fast": xcg.Variable(("fast",), "m s^-1", "fast ones")}
+
+    def frame(self, frame, lattice, source):
+        speed = np.linalg.norm(frame["velocity"], axis=1)
+        return {"fast": speed[speed > 1.5]}
+
+
+class _Counted(_Listed):
+    def sizes(self, scene, ds):
+        return {"fast": None}
+
+
+def test_dimensions_without_a_length_are_named():
+    ds = _scene()
+    with pytest.raises(TypeError, match=r"'fast' of 'fast' has no length; return one in sizes"):
+        _Listed().run(ds)
+    most = (np.linalg.norm(ds.velocity, axis=2) > 1.5).sum(axis=1).max()
+    assert _Counted().run(ds).sizes["fast"] == most
+    for lazy in (ds.chunk(time=2), ds.assign(box=ds.box.chunk())):
+        with pytest.raises(TypeError, match="'fast' of a lazy scene has no length"):
+            _Counted().run(lazy)
+
+
 @dataclass(frozen=True)
 class _Weighted(xcg.FrameAnalysis):
     optional = ("frozen",)

@@ -17,7 +17,7 @@ from xcg.scene.contact_points import REPEAT, contact_points
 from xcg.scene.frame import require_steps
 from xcg.scene.lattice import Lattice, unit_vectors
 from xcg.scene.scene import Scene
-from xcg.scene.schema import Frame, Variable, variable
+from xcg.scene.schema import OF_STEP, Frame, Variable, variable
 from xcg.scene.spheres import warn_of_coincident
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.labels import call_of
@@ -265,7 +265,7 @@ def find_contacts(
     check("max_contacts", max_contacts, whole(0), optional=True)
     if max_contacts is not None:
         max_contacts = int(max_contacts)
-    elif is_lazy(ds, [n for n in (*READ, *OPTIONAL) if n in ds]):
+    elif is_lazy(ds, [n for n in (*READ, *OPTIONAL, *OF_STEP) if n in ds]):
         max_contacts = MOST_CONTACTS[scene.setup.dimension] * ds.sizes["particle"]
     analysis = _Search(Stiffness(k_n, E, nu), skin, levels, max_contacts)
     return run(scene, analysis, call=call)

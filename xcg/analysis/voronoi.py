@@ -23,6 +23,7 @@ from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Variable
 from xcg.steps.analysis import FrameAnalysis, run
 from xcg.steps.faults import OnError
 from xcg.steps.labels import call_of
+from xcg.steps.mapping import is_lazy
 
 _LEAF = 6  # particles of the smallest boxes, at most
 # memory for planes that cut a cell, and for faces; both grow where they do not suffice
@@ -166,10 +167,10 @@ class _Cells(FrameAnalysis):
         return _ROWS
 
     def sizes(self, scene: Scene, ds: xr.Dataset) -> dict[str, int | None]:
-        """Return the most faces of a step, a bound if it is lazy."""
-        if ds["position"].chunks is None:
-            return {"face": None}
-        return {"face": _PAIRS_A_PARTICLE * ds.sizes["particle"]}
+        """Return the most faces of a step, a bound if anything is lazy."""
+        if is_lazy(ds, ds.variables):
+            return {"face": _PAIRS_A_PARTICLE * ds.sizes["particle"]}
+        return {"face": None}
 
     def frame(self, frame: Frame, lattice: Lattice, source: str) -> dict[str, ArrayLike]:
         """Compute the cells of the particles of a step."""

@@ -18,7 +18,7 @@ from xcg.scene.scene import Scene
 from xcg.scene.schema import OF_STEP, PADDING, Frame, Setup, Variable
 from xcg.steps.faults import SKIPPED, Compute, OnError, Result, check_on_error, guarded
 from xcg.steps.labels import AXES, call_of, label
-from xcg.steps.mapping import lazy_results
+from xcg.steps.mapping import is_lazy, lazy_results
 
 # a frame, its periodic images, and its name in messages
 Step: TypeAlias = tuple[Frame, Lattice, str]
@@ -169,7 +169,8 @@ class FrameAnalysis:
         SceneError
             If the scene lacks variables.
         TypeError
-            When it is computed, if a result is missing or has another shape than `rows` says.
+            If a dimension has no length; when it is computed, if a result is missing or has another
+            shape than `rows` says.
         """
         return _run_selection(ds, self, on_error=on_error)
 
@@ -203,8 +204,8 @@ def run(
     for coord in coords.values():
         lengths |= coord.sizes
     lengths |= analysis.sizes(scene, ds)
-    shapes = {n: tuple(lengths[dim] for dim in output.dims) for n, output in outputs.items()}
     read = _variables_of_task(ds, [*required, *(n for n in analysis.optional if n in ds)])
+    shapes = _shapes_of_step(name, outputs, lengths, lazy=is_lazy(ds, read))
     threads = THREADS
     if any(len(ds.variables[n].chunksizes.get("time", ())) > 1 for n in read):
         threads = 1  # of several chunks at once
@@ -227,6 +228,27 @@ def run(
         arrays = map_over_time(series, [*read, *beside], task, results, tasks, on_error)
     result = label(ds, outputs, arrays, call, coords=coords, **analysis.attrs(scene))
     return analysis.after(result, ds)
+
+
+def _shapes_of_step(
+    name: str,
+    outputs: Mapping[str, Variable],
+    lengths: Mapping[Any, int | None],
+    *,
+    lazy: bool,
+) -> dict[str, tuple[int | None, ...]]:
+    """Return the shape of each result; raise TypeError for a dimension whose length is not known."""
+    shapes = {}
+    for result, output in outputs.items():
+        for dim in output.dims:
+            if dim not in lengths or (lazy and lengths[dim] is None):
+                of_lazy = " of a lazy scene" * (dim in lengths)
+                raise TypeError(
+                    f"{name}: the dimension {dim!r} of {result!r}{of_lazy} has no length; return one in sizes(), "
+                    "or a coordinate in coords()"
+                )
+        shapes[result] = tuple(lengths[dim] for dim in output.dims)
+    return shapes
 
 
 def _variables_of_task(ds: xr.Dataset, required: Sequence[str]) -> dict[str, str]:

@@ -6,7 +6,7 @@ Functions import dask and tqdm themselves: they load slowly, and scenes in memor
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -35,7 +35,7 @@ _BAR = "[{bar:30}] {n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} l
 _LINE = "{n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} left"
 
 
-def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
+def is_lazy(ds: xr.Dataset, names: Iterable[Hashable]) -> bool:
     """Return whether any of these variables is a dask array."""
     return any(ds.variables[name].chunks is not None for name in names)
 
