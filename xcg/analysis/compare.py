@@ -69,7 +69,8 @@ def compare(a: xr.Dataset, b: xr.Dataset, relative: bool = False) -> xr.Dataset:
     >>> c.velocity.values.tolist(), c.velocity_error.values.round(6).tolist()
     ([1.0, 0.0], [0.5, 0.5])
     """
-    a, b = (_one_step(with_facts(f)) for f in (a, b))
+    a = _one_step(with_facts(a))
+    b = _one_step(with_facts(b))
     names = [str(name) for name in a.data_vars if name in b and not _is_beside(str(name), a)]
     if not names:
         raise ValueError(
@@ -115,7 +116,8 @@ def _difference(a: xr.Dataset, b: xr.Dataset, name: str, relative: bool) -> dict
         about["units"] = before.attrs["units"]
     data = {name: (after - before) * scale}
     if error in a and error in b:
-        of_before, of_after = (f[error].reset_coords(drop=True) for f in (a, b))
+        of_before = a[error].reset_coords(drop=True)
+        of_after = b[error].reset_coords(drop=True)
         if relative:
             of_before = of_before * after * scale
         data[error] = (of_before**2 + of_after**2) ** 0.5 * scale

@@ -150,7 +150,8 @@ def derive_superquadric(
     exponents = [name for name in ("exponent_1", "exponent_2") if name in ds]
     variables = {name: ds[name].drop_attrs(deep=False) for name in (*required, *exponents)}
     a, b, c = (variables[name] for name in axes)
-    n1, n2 = (variables.get(name, 2.0) for name in ("exponent_1", "exponent_2"))
+    n1 = variables.get("exponent_1", 2.0)
+    n2 = variables.get("exponent_2", 2.0)
     volume, square_x, square_z = superquadric_integrals(n1, n2)
     volume = volume * a * b * c
     new: dict[str, xr.DataArray] = {"volume": volume, "diameter": (6 / np.pi * volume) ** (1 / 3)}

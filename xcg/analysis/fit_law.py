@@ -224,7 +224,8 @@ def _drawn(
     for k, deviation in enumerate(fit.errors):
         change = np.zeros(len(values))
         change[k] = 1e-4 * deviation if 0 < deviation < np.inf else 1e-6 * max(1.0, abs(values[k]))
-        above, below = (fit.function(curve_x, *(values + sign * change)) for sign in (1, -1))
+        above = fit.function(curve_x, *(values + change))
+        below = fit.function(curve_x, *(values - change))
         slopes[k] = (above - below) / (2 * change[k])
     error = np.sqrt(np.einsum("kn,kl,ln->n", slopes, fit.covariance, slopes).clip(0))
     columns = {
@@ -265,7 +266,8 @@ def draw_fit(fit: xr.Dataset, ax: Axes, **options: Any) -> Axes:
     matplotlib.axes.Axes
     """
     x, y = fit["fit_x"].to_numpy(), fit["fit_y"].to_numpy()
-    x_error, y_error = (fit[f"fit_{axis}_error"].to_numpy() for axis in "xy")
+    x_error = fit["fit_x_error"].to_numpy()
+    y_error = fit["fit_y_error"].to_numpy()
     errors: dict[str, Any] = {}
     if np.isfinite(y_error).all():
         errors["yerr"] = y_error

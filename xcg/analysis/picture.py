@@ -74,21 +74,25 @@ class Shown:
                 raise ValueError(
                     f"plot({name!r}): no node is left along {axis}; select one at least"
                 )
-        value = cut[name]
+        self._check(cut[name], axes, str(f.attrs.get("plane", AXES)))
         if len(axes) == 2:
-            value = without_air(cut, name)
-        self._check(value, axes, str(f.attrs.get("plane", AXES)))
-        parts = {name: self._component(value, name)}
-        error = f"{name}{ERROR}"
-        if len(axes) == 1 and error in cut:
-            parts[error] = self._component(cut[error], name)
-        if len(axes) == 2:
-            parts |= self._arrows(cut, axes, parts[name])
-            if "component" in parts[name].dims:
-                size = (parts[name] ** 2).sum("component", skipna=False) ** 0.5
-                text = f"magnitude of {drawing.long_name_of(value, name)}"
-                parts[name] = size.assign_attrs(value.attrs, long_name=text)
+            parts = self._of_map(cut, axes, name)
+        else:
+            parts = {name: self._component(cut[name], name)}
+            error = f"{name}{ERROR}"
+            if error in cut:
+                parts[error] = self._component(cut[error], name)
         return xr.Dataset(parts, attrs={"drawn": name})
+
+    def _of_map(self, cut: xr.Dataset, axes: list[str], name: str) -> dict[str, xr.DataArray]:
+        """Return a field over two axes, of a vector its magnitude, and the components of arrows."""
+        value = self._component(without_air(cut, name), name)
+        arrows = self._arrows(cut, axes, value)
+        if "component" in value.dims:
+            size = (value**2).sum("component", skipna=False) ** 0.5
+            text = f"magnitude of {drawing.long_name_of(value, name)}"
+            value = size.assign_attrs(value.attrs, long_name=text)
+        return {name: value, **arrows}
 
     def _name_in(self, f: xr.Dataset) -> str:
         """Return the name of the field; raise ValueError if the result has none."""

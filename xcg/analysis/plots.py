@@ -168,7 +168,8 @@ def _plot_compared(
     if name not in compared:
         return _plot_step(choice.picture(f, index), choice.shading, None, ends, options)
     choice = replace(choice, field=name)
-    before, after = (choice.picture(_side_of(f, side), index) for side in ("a", "b"))
+    before = choice.picture(_side_of(f, "a"), index)
+    after = choice.picture(_side_of(f, "b"), index)
     # the difference of densities is zero where both runs have the same, and not in air alone
     others = [other for other in DENSITIES if other != name]
     difference = choice.picture(f.drop_vars(others, errors="ignore"), index)

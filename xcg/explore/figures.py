@@ -141,12 +141,10 @@ class Map:
         self.figure.js_on_change("inner_width", follow)
         self.figure.js_on_change("tags", follow)
         # an image for each scale: one that got the other's colours would keep its own until new numbers
-        self._linear_image, self._logarithmic_image = (
-            self.figure.image(
-                **{name: name for name in _EMPTY_IMAGE}, source=self.image, color_mapper=mapper
-            )
-            for mapper in (self._linear, self._logarithm)
-        )
+        columns: dict[str, Any] = {name: name for name in _EMPTY_IMAGE}
+        columns["source"] = self.image
+        self._linear_image = self.figure.image(**columns, color_mapper=self._linear)
+        self._logarithmic_image = self.figure.image(**columns, color_mapper=self._logarithm)
         self.figure.circle(
             "x",
             "y",

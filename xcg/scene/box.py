@@ -129,7 +129,8 @@ def _entries(
         )
     out = np.zeros((steps, 3, 3))
     for key, values in entries.items():
-        i, j = (COMPONENTS.index(axis) for axis in key)
+        i = COMPONENTS.index(key[0])
+        j = COMPONENTS.index(key[1])
         numbers = floats(values)
         if numbers.shape not in ((), (steps,)) or not np.isfinite(numbers).all():
             raise SceneError(

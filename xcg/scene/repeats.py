@@ -85,7 +85,8 @@ def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     if not len(i):
         return np.empty(0, int), np.empty(0, int)
     low, high = np.minimum(i, j), np.maximum(i, j)
-    lows, highs = (int(ids.max()) - int(ids.min()) + 1 for ids in (low, high))
+    lows = int(low.max()) - int(low.min()) + 1
+    highs = int(high.max()) - int(high.min()) + 1
     if lows * highs < 2**62:
         key = low
         # in place, as there may be many; overflow is harmless, as keys still differ

@@ -69,7 +69,8 @@ def _diameter(frame: Frame, index: NDArray) -> NDArray:
 def _warn_of_far(frame: Frame, some: slice, far: NDArray, distance: NDArray, source: str) -> None:
     """Warn of contact points at a `distance` (n,) in diameters from a centre."""
     first = far[0]
-    i, j = (frame[name][some][first] for name in ("contact_i", "contact_j"))
+    i = frame["contact_i"][some][first]
+    j = frame["contact_j"][some][first]
     warn_once(
         "far contacts",
         f"{source}: {far.size} of {len(distance)} contacts looked at lie more than {_FAR:g} diameters from the "

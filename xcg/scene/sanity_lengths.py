@@ -58,17 +58,15 @@ def _factor_of_sizes(grains: Particles) -> str | None:
     nearly_least, middle = np.quantile(nearest, [0.05, 0.5])
     if np.ptp(nearest) <= _REGULAR * middle:
         return None
+    low, high = _PILE
     for factor in _FACTORS:
-        low, high = (end * factor for end in _PILE)
-        piled = float(((nearest >= low) & (nearest <= high)).mean())
+        piled = float(((nearest >= low * factor) & (nearest <= high * factor)).mean())
         if nearly_least < _LOWEST * factor or piled < _PILED:
             continue
         if factor > 1 and grains.is_lattice:
             return None
-        if (
-            factor < 1
-            and (distances < 1.8 * factor).sum(axis=1).mean() < _OVERLAPPING[len(grains.setup.axes)]
-        ):
+        near = (distances < 1.8 * factor).sum(axis=1).mean()
+        if factor < 1 and near < _OVERLAPPING[len(grains.setup.axes)]:
             continue  # spheres of a body that is not named
         text = (
             f"nearest grains are {np.median(nearest):.3g} sums of their radii apart (the median of "
@@ -177,9 +175,11 @@ def _short_period(grains: Particles) -> str | None:
     """
     if "diameter" not in grains.frame or grains.lattice.edges is None:
         return None
-    position, diameter = (grains.frame[name] for name in ("position", "diameter"))
-    for k in (k for k in grains.edges if COMPONENTS[k] in grains.setup.periodic):
-        low, high = grains.edges[k]
+    position = grains.frame["position"]
+    diameter = grains.frame["diameter"]
+    for k, (low, high) in grains.edges.items():
+        if COMPONENTS[k] not in grains.setup.periodic:
+            continue
         x = position[:, k]
         outside = np.flatnonzero((x < low) | (x > high))
         if len(outside) < max(FEW, _MOVED * grains.count):

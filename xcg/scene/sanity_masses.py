@@ -25,7 +25,10 @@ def _contradiction(grains: Particles) -> str | None:
     if not {"mass", "diameter", "volume", "density"} <= set(grains.frame):
         return None
     sample = grains.sample
-    mass, volume, density, d = (sample[name] for name in ("mass", "volume", "density", "diameter"))
+    mass = sample["mass"]
+    volume = sample["volume"]
+    density = sample["density"]
+    d = sample["diameter"]
     expected = density * volume
     wrong = np.flatnonzero((np.abs(mass - expected) > _DIGITS * expected) & (mass > 0))
     if not wrong.size:
@@ -67,8 +70,9 @@ def _volumes_of_shapes(grains: Particles) -> str | None:
     axes = [f"half_axis_{axis}" for axis in COMPONENTS]
     if not {"volume", *axes} <= set(sample):
         return None
-    n1, n2 = (sample.get(name, 2.0) for name in ("exponent_1", "exponent_2"))
-    volume, _, _ = superquadric_integrals(n1, n2)
+    volume, _, _ = superquadric_integrals(
+        sample.get("exponent_1", 2.0), sample.get("exponent_2", 2.0)
+    )
     for name in axes:
         volume = volume * sample[name]
     ratio = float(np.median(sample["volume"] / volume))
@@ -114,11 +118,13 @@ def _discs(grains: Particles) -> str | None:
     """Check that masses of spheres do not go with the square of the diameter."""
     if not {"mass", "diameter", "volume"} <= set(grains.frame) or grains.setup.shape != "sphere":
         return None
-    d, mass, volume = (grains.sample[name] for name in ("diameter", "mass", "volume"))
+    d = grains.sample["diameter"]
+    volume = grains.sample["volume"]
     varied = len(d) >= FEW and np.std(d) >= _VARIED * np.mean(d)
     if not varied or not np.allclose(volume, np.pi / 6 * d**3, rtol=1e-6, atol=0):
         return None
-    if np.std(mass / d**2) >= _SAME * np.mean(mass / d**2):
+    over_square = grains.sample["mass"] / d**2
+    if np.std(over_square) >= _SAME * np.mean(over_square):
         return None
     return (
         "masses go with the square of the diameter, as those of discs, and volumes and densities are taken to be "

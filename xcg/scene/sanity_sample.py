@@ -105,7 +105,8 @@ class Particles:
             inside = self._around(middle, reach)
         if not FEW <= len(inside) <= 2 * _REGION:  # few, or many at one point
             return nothing
-        position, diameter = (self.frame[name][inside] for name in ("position", "diameter"))
+        position = self.frame["position"][inside]
+        diameter = self.frame["diameter"][inside]
         to_edge = reach - np.abs(position - middle)[:, self.setup.axes].max(axis=1)
         nearest = []
         directions = []

@@ -269,7 +269,8 @@ def check_axis(ds: xr.Dataset, frame: Cylindrical) -> None:
 
     Scenes whose extent is not known pass.
     """
-    low, high = (ds.attrs.get(f"particle_{end}") for end in ("lower", "upper"))
+    low = ds.attrs.get("particle_lower")
+    high = ds.attrs.get("particle_upper")
     if low is None or high is None:
         return
     rotated = frame.rotated

@@ -105,7 +105,8 @@ class Mercury(Columnar):
         for path in paths:
             if ".restart" not in os.path.basename(path) or not is_restart(path):
                 continue
-            data, fstat = (path.replace(".restart", end) for end in (".data", ".fstat"))
+            data = path.replace(".restart", ".data")
+            fstat = path.replace(".restart", ".fstat")
             raise SceneError(
                 f"{path}: a restart file of MercuryDPM is not read for grains and contacts; open {data!r}, with "
                 f"contacts={fstat!r}. The restart file beside it, or restart={path!r}, then gives densities, gravity "
