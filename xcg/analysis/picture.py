@@ -168,10 +168,10 @@ def _other_way(f: xr.Dataset, value: xr.DataArray) -> str:
     if not dims:
         return text
     along = next((dim for dim in dims if dim not in ("time", "phase")), dims[0])
-    step = ""
+    last = ""
     if "time" in dims and along != "time":
-        step = ".isel(time=-1)"
-    return f"{text}; xarray draws others, such as f[{value.name!r}]{step}.plot.line(x={along!r})"
+        last = ".isel(time=-1)"
+    return f"{text}; xarray draws others, such as f[{value.name!r}]{last}.plot.line(x={along!r})"
 
 
 def picture_of(

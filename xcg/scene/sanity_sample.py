@@ -91,18 +91,7 @@ class Particles:
         nothing = np.empty((0, 0)), np.empty((0, 3))
         if "diameter" not in self.frame or self.count < FEW:
             return nothing
-        sampled = self.sample["position"]
-        # a grain, as there may be none in the middle of a drum
-        middle = sampled[((sampled - np.median(sampled, axis=0)) ** 2).sum(axis=1).argmin()]
-        low, high = np.quantile(sampled[:, self.setup.axes], [0.02, 0.98], axis=0)
-        share = min(1.0, _REGION / self.count)
-        reach = 0.5 * (high - low).max() * share ** (1 / len(self.setup.axes))
-        inside = self._around(middle, reach)
-        for _ in range(_HALVINGS):
-            if len(inside) <= 2 * _REGION:
-                break
-            reach *= 0.5
-            inside = self._around(middle, reach)
+        middle, reach, inside = self._region()
         if not FEW <= len(inside) <= 2 * _REGION:  # few, or many at one point
             return nothing
         position = self.frame["position"][inside]
@@ -134,6 +123,22 @@ class Particles:
         units = directions / length[:, None]
         parallel = (np.abs(units @ units.T) > _PARALLEL).sum() - len(units)
         return bool(parallel > _ALIGNED[len(self.setup.axes)] * len(units) * (len(units) - 1))
+
+    def _region(self) -> tuple[NDArray, float, NDArray]:
+        """Return the middle (3,) and half of the edge of a cube of about 300 grains, and their indices."""
+        sampled = self.sample["position"]
+        # a grain, as there may be none in the middle of a drum
+        middle = sampled[((sampled - np.median(sampled, axis=0)) ** 2).sum(axis=1).argmin()]
+        low, high = np.quantile(sampled[:, self.setup.axes], [0.02, 0.98], axis=0)
+        share = min(1.0, _REGION / self.count)
+        reach = 0.5 * (high - low).max() * share ** (1 / len(self.setup.axes))
+        inside = self._around(middle, reach)
+        for _ in range(_HALVINGS):
+            if len(inside) <= 2 * _REGION:
+                break
+            reach *= 0.5
+            inside = self._around(middle, reach)
+        return middle, reach, inside
 
     def _around(self, middle: NDArray, reach: float) -> NDArray:
         """Return the indices of the particles in a cube, axis by axis, as few are left after the first."""

@@ -36,11 +36,9 @@ def check_request(request: Request, recorded: xr.Dataset) -> None:
             continue
         x = recorded[a].to_numpy()
         last = x[-1]
-        step = np.inf
-        if len(x) > 1:
-            step = x[1] - x[0]
+        spacing = np.append(np.diff(x), np.inf)[0]
         # the last node lies before its bound where the spacing does not divide the range
-        if 0 <= high - last < step * (1 - 1e-6):
+        if 0 <= high - last < spacing * (1 - 1e-6):
             last = high
         pairs[a] = ((low, high), (x[0], last))
     for name, (requested, of_file) in pairs.items():
@@ -57,18 +55,18 @@ def check_request(request: Request, recorded: xr.Dataset) -> None:
 def _spacings(request: Request, recorded: xr.Dataset) -> dict[str, tuple[float, float]]:
     """Return the spacing of the request and that of the file along each axis, by names for messages."""
     pairs: dict[str, tuple[float, float]] = {}
-    spacing: Any = request.spacing
-    if not isinstance(spacing, Mapping):
-        spacing = dict.fromkeys("xyz", spacing)
-    for a, step in spacing.items():
-        if step is None or isinstance(step, str) or recorded.sizes.get(a, 0) < 2:
+    requested: Any = request.spacing
+    if not isinstance(requested, Mapping):
+        requested = dict.fromkeys("xyz", requested)
+    for a, spacing in requested.items():
+        if spacing is None or isinstance(spacing, str) or recorded.sizes.get(a, 0) < 2:
             continue
-        recorded_step = float(recorded[a][1] - recorded[a][0])
+        of_file = float(recorded[a][1] - recorded[a][0])
         if a in recorded.attrs.get("periodic", "") and a not in (request.bounds or {}):
             # the nearest that divides the period
-            period = recorded.sizes[a] * recorded_step
-            step = period / max(1, np.floor(period / step + 0.5))
-        pairs[f"spacing along {a}"] = (step, recorded_step)
+            period = recorded.sizes[a] * of_file
+            spacing = period / max(1, np.floor(period / spacing + 0.5))
+        pairs[f"spacing along {a}"] = (spacing, of_file)
     return pairs
 
 

@@ -402,17 +402,22 @@ def coarsen(f: xr.Dataset, **blocks: int) -> xr.Dataset:
                 f"call f.isel({axis}=slice({nodes - left})).cg.coarsen(...), or take a divisor of {nodes}"
             )
     f = f.assign_attrs(provenance(f, format_call("coarsen", blocks)))
-    places = {axis: f[axis].coarsen({axis: size}).mean() for axis, size in blocks.items()}
-    inside = {axis: (axis, f"{axis} in block") for axis in blocks}
-    one_block = f.isel({axis: slice(size) for axis, size in blocks.items()})
-    f = f.drop_vars([*blocks]).coarsen(blocks).construct(inside)
-    dims = [inner for _, inner in inside.values()]
+    one_block = f
+    middles = {}
+    inside = {}
+    for axis, size in blocks.items():
+        one_block = one_block.isel({axis: slice(size)})
+        middles[axis] = f[axis].coarsen({axis: size}).mean()
+        inside[axis] = f"{axis} in block"
+    split = {axis: (axis, inside[axis]) for axis in blocks}
+    f = f.drop_vars([*blocks]).coarsen(blocks).construct(split)
+    dims = [*inside.values()]
     average = Averaging.of(f, "coarsen")
     mean = _average_of(average.to_sums(f, dims).mean(dims, skipna=False), f, average)
     if has_floors(f) and set(blocks) <= set(COMPONENTS):
         count = _independent(one_block, [*blocks])
         mean = with_floors(mean, average.options, "coarsen", count)
-    return mean.assign_coords(places).set_coords(beside)
+    return mean.assign_coords(middles).set_coords(beside)
 
 
 # --- errors of one step ----------------------------------------------------------------------------------
@@ -467,14 +472,16 @@ def _independent(f: xr.Dataset, axes: Sequence[str]) -> float:
     """Return how many places along some axes share no grains: at most as many as there are nodes."""
     dimension = int(f.attrs["kernel_dimension"])
     kernel = kernel_of(str(f.attrs["kernel"]), float(np.max(f.attrs["width"])), {}, dimension)
-    seen = sum(a in f.coords for a in COMPONENTS)
+    resolved = sum(a in f.coords for a in COMPONENTS)
     nodes = 1
     volume = 1.0
     for axis in axes:
         x = f[axis].to_numpy()
         nodes *= len(x)
         volume *= len(x) * abs(x[1] - x[0]) if len(x) > 1 else 0.0
-    places = volume * kernel.squared_integral(seen) / kernel.squared_integral(seen - len(axes))
+    before = kernel.squared_integral(resolved)
+    after = kernel.squared_integral(resolved - len(axes))
+    places = volume * before / after
     return float(max(1.0, min(nodes, places)))
 
 
