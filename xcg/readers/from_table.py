@@ -327,6 +327,12 @@ def _table(data: Any, what: str) -> pd.DataFrame:
         ]
         table.columns = ["_".join(levels) for levels in named]
     table = table.rename(columns=str)
+    for name, values in table.items():
+        if isinstance(
+            next(iter(values), None), list | tuple | np.ndarray
+        ):  # [x, y, z] in each cell
+            parts = _by_component({str(name): values.tolist()})
+            table = table.drop(columns=name).assign(**parts)
     twice = table.columns[table.columns.duplicated()]
     if len(twice):
         raise SceneError(

@@ -456,6 +456,16 @@ def test_lists_in_parquet_are_vectors(tmp_path, kind):
     np.testing.assert_array_equal(ds.velocity[0], places[::-1])
 
 
+@pytest.mark.parametrize("kind", [list, tuple, np.array])
+def test_lists_in_cells_of_tables_are_vectors(kind):
+    places = np.random.default_rng(1).random((4, 3))
+    cells = [kind(row) for row in places.tolist()]
+    others = [[1], [2, 3], [], [4]]
+    table = pd.DataFrame({"position": cells, "neighbours": others, "radius": 0.1}, [4, 3, 2, 1])
+    ds = xcg.scene_from_table(table.rename_axis("id"), density=1.0)
+    np.testing.assert_array_equal(ds.position[0], places[::-1])
+
+
 @pytest.mark.parametrize("kind", ["csv", "parquet", "memory"])
 def test_species_that_are_words_name_two_ways(tmp_path, kind):
     table = pd.DataFrame({"x": [0.0, 1.0], "y": 0.0, "z": 0.0, "radius": 0.1, "type": ["b", "a"]})
