@@ -157,6 +157,15 @@ def test_windows_of_dates_and_durations_lie_at_their_mean_time():
         assert moving.time.values.astype(start.dtype).tolist() == expected
 
 
+def test_results_in_chunks_of_components_and_phases_are_averaged():
+    """As stores hold them that were written in such chunks."""
+    ds = random_steps(2)
+    fields = ["stress", "granular_temperature", "mixture_temperature"]
+    f = ds.cg.coarse_grain(fields, axes="xz", by="species", width=0.9, for_averages=True)
+    lazy = f.chunk(component=1, direction=2, phase=1, other_phase=1)
+    xr.testing.assert_allclose(lazy.cg.profile("z").compute(), f.cg.profile("z"))
+
+
 def test_moving_windows_of_a_lazy_result():
     """Fields that follow from tensors are computed anew in each window, lazily as in memory."""
     f = (

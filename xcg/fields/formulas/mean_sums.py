@@ -333,6 +333,7 @@ def _compute(field: Field, needs: Mapping[str, xr.DataArray], options: Options) 
         input_core_dims=of_needs,
         output_core_dims=[(*dims[: field.across_phases], *tail[: field.rank])],
         dask="parallelized",
+        dask_gufunc_kwargs={"allow_rechunk": True},  # of components, or of phases
         output_dtypes=[float],
     )
 
