@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import axis_vector
 from xcg.fields.grids.frames import axis_of
-from xcg.fields.grids.walls import Cylinder, Surface, SurfaceCells, Wall, check_count
+from xcg.fields.grids.walls import Cylinder, Plane, Surface, SurfaceCells, Wall, check_count
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.scene import Scene
 from xcg.scene.schema import COMPONENTS
@@ -34,18 +34,20 @@ def check_surface(surface: object) -> None:
 
 def open_ends(surface: Wall, cells: SurfaceCells, scene: Scene) -> dict[str, tuple[float, float]]:
     """Return the ends of the cells along dimensions for which neither the surface nor a period has any."""
-    has_bounds = getattr(surface, "bounds", None) is not None
-    has_ends = None not in (getattr(surface, "low", None), getattr(surface, "high", None))
-    if has_bounds or has_ends:
-        return {}
-    dims = [*cells.coords][-len(cells.bounds) :]
-    ends = dict(zip(dims, map(tuple, cells.bounds), strict=False))
     if isinstance(surface, Cylinder):
         k = axis_of(axis_vector("axis", surface.axis))
-        if k is not None and COMPONENTS[k] in scene.periods:
+        is_periodic = k is not None and COMPONENTS[k] in scene.periods
+        if is_periodic or None not in (surface.low, surface.high):
             return {}
-        return ends
-    return {dim: end for dim, end in ends.items() if dim not in scene.periods}
+        *_, along = cells.coords
+        return {along: tuple(cells.bounds[0])}
+    if not isinstance(surface, Plane) or surface.bounds is not None:
+        return {}
+    ends = {}
+    for dim, (low, high) in zip(cells.coords, cells.bounds, strict=True):
+        if dim not in scene.periods:
+            ends[dim] = (low, high)
+    return ends
 
 
 def small_cells(surface: Wall, scene: Scene, spacing: float) -> SurfaceCells:
@@ -53,10 +55,9 @@ def small_cells(surface: Wall, scene: Scene, spacing: float) -> SurfaceCells:
     corners = np.full((2, 3), np.nan)
     if scene.corners is not None:
         corners = np.array(scene.corners)
-    lower, upper = corners
     for a in scene.periods:
-        k = COMPONENTS.index(a)
-        lower[k], upper[k] = scene.edges[a]
+        corners[:, COMPONENTS.index(a)] = scene.edges[a]
+    lower, upper = corners
     if isinstance(surface, Surface):
         surface.check_unit(lower, upper, scene.sizes.get("d43", 0.0))
         return SurfaceCells({}, *parts_of_triangles(surface, spacing), COMPONENTS)

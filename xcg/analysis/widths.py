@@ -104,14 +104,10 @@ def width_sweep(scene: Scene, request: SweepRequest) -> xr.Dataset:
     request = replace(request, axes=request.axes or "")
     if request.axes:
         request = with_nodes(scene, request, lengths, points[0])
-    swept = [
-        join_widths(
-            scene,
-            lengths,
-            partial(request.as_request, fields=request.fields, at=point, for_averages=False),
-        )
-        for point in points
-    ]
+    swept = []
+    for point in points:
+        ask = partial(request.as_request, fields=request.fields, at=point, for_averages=False)
+        swept.append(join_widths(scene, lengths, ask))
     joined = swept[0]
     if along:
         joined = xr.concat(swept, "point", coords="different", compat="equals")
@@ -119,7 +115,7 @@ def width_sweep(scene: Scene, request: SweepRequest) -> xr.Dataset:
     if joined.chunks:
         joined = joined.chunk({"width": -1})
     widths = np.array(lengths)
-    more = dict[str, xr.DataArray]()
+    more: dict[str, xr.DataArray] = {}
     for field in map(str, joined.data_vars):
         more |= _bias(field, joined[field], widths, request.max_bias)
         if len(lengths) > 2:
@@ -138,15 +134,17 @@ def _points(
         return [{}], []
     if any(isinstance(values, xr.DataArray) and values.ndim for values in at.values()):
         return [at], []
-    columns = {axis: np.asarray(values, float) for axis, values in at.items()}
-    shapes = {axis: values.shape for axis, values in columns.items()}
-    if len(set(shapes.values())) > 1 or any(len(shape) > 1 for shape in shapes.values()):
+    shapes = {axis: np.shape(values) for axis, values in at.items()}
+    shape, *others = set(shapes.values())
+    if others or len(shape) > 1:
         raise ValueError(
             f"at has shapes {shapes}: expected one number an axis, or lists of the same length, one entry a point"
         )
-    points = np.column_stack(list(columns.values())).tolist()
-    dims = ["point"] if any(shapes.values()) else []
-    return [dict(zip(columns, point, strict=True)) for point in points], dims
+    places = np.column_stack([np.asarray(values, float) for values in at.values()])
+    points: list[Mapping[str, Any]] = []
+    for place in places.tolist():
+        points.append(dict(zip(at, place, strict=True)))
+    return points, ["point"] * len(shape)
 
 
 def join_widths(scene: Scene, widths: Sequence[float], ask: Callable[..., Request]) -> xr.Dataset:
