@@ -99,7 +99,7 @@ class Recorder:
         for chunk in chunks:
             if "position" in ds:
                 # before values are loaded: fields need only some variables of a lazy scene
-                chunk = takes_scene(answer)(chunk, self._request)
+                chunk = _answer(chunk, self._request)
             for step in each_step(chunk):
                 self._add(_with_time(step))
 
@@ -139,6 +139,9 @@ class Recorder:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+_answer = takes_scene(answer)  # of any selection
 
 
 def _with_time(fields: xr.Dataset) -> xr.Dataset:
