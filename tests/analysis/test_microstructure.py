@@ -551,3 +551,17 @@ def test_a_scene_without_steps_has_results_without_steps():
 def test_groups_without_their_variable_raise(call):
     with pytest.raises(ValueError, match=r"groups=\[1, 2\] are the values .* say which with by="):
         call(xcg.datasets.random_scene(20).isel(time=[0, 0]).assign_coords(time=[0.0, 1.0]))
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_steps_in_any_order_and_dates_have_quantities_that_take_no_rate(lazy):
+    ds = random_steps(3)
+    names = ["coordination_number", "volume_fraction", "axial_strain"]
+    expected = ds.cg.microstructure(names).isel(time=[2, 0])
+    dates = np.datetime64("2024-01-01", "ns") + np.array([2, 0]) * np.timedelta64(1, "s")
+    for part in (ds.isel(time=[2, 0]), ds.isel(time=[2, 0]).assign_coords(time=dates)):
+        m = (part.chunk(time=1) if lazy else part).cg.microstructure(names)
+        for name in names:
+            np.testing.assert_array_equal(m[name], expected[name])
+        with pytest.raises(xcg.SceneError, match="the strain rate of the box"):
+            part.cg.microstructure("strain_rate")

@@ -444,7 +444,9 @@ def _with_series(
     """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
     ds = scene.ds
     setup = scene.setup
-    if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
+    takes_rate = not {"strain_rate", *INERTIAL}.isdisjoint(names)
+    is_of_box = takes_rate and _is(rate, "box")
+    if "box" in ds and (set(STRAIN) & set(names) or is_of_box):
         lengths = ds["box"].isel(bound=1) - ds["box"].isel(bound=0)
         lengths = lengths.sel(component=list(setup.plane))
         first = lengths
@@ -456,9 +458,9 @@ def _with_series(
         for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
             values = labelled(0.0 - logarithm, "1", STRAIN[name])
             result[name] = values.assign_attrs(measure="logarithmic")
-        if _is(rate, "box") and "lattice_velocity" in ds:
+        if is_of_box and "lattice_velocity" in ds:
             rate = _rate_of_lattice(ds, setup.plane)
-        elif _is(rate, "box"):
+        elif is_of_box:
             require_times(ds, "the strain rate of the box")
             if stretch.chunks:  # finite differences reach over chunks; a box is six numbers a step
                 stretch = stretch.chunk(time=-1)
