@@ -28,30 +28,25 @@ def _box(
 def _names(
     context: click.Context, parameter: click.Parameter, value: str | None
 ) -> dict[str, Any] | list[str | None] | str | None:
-    """Read names of columns from text in JSON or TOML."""
-    if value is None:
-        return None
-    names = None
-    with suppress(ValueError):
-        names = _from_text(value)
-    if not names or not isinstance(names, (dict, list, str)):
-        raise click.BadParameter(
-            f"{value!r} is neither TOML nor JSON with names of columns: write --names "
-            """'{"c_q[1]" = "charge"}' or --names '{"c_q[1]": "charge", "v_x": null}', each in single quotes"""
-        )
-    return names
-
-
-def _from_text(text: str) -> Any:
-    """Return the value of JSON, of TOML's inline form, or of lines of TOML; ValueError for other text."""
+    """Read names of columns from JSON, TOML's inline form, or lines of TOML."""
     import json
     import tomllib
 
-    with suppress(ValueError):
-        return json.loads(text)
-    with suppress(ValueError):
+    if value is None:
+        return None
+
+    def inline_toml(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
-    return tomllib.loads(text)
+
+    for read in (json.loads, inline_toml, tomllib.loads):
+        with suppress(ValueError):
+            names = read(value)
+            if names and isinstance(names, (dict, list, str)):
+                return names
+    raise click.BadParameter(
+        f"{value!r} is neither TOML nor JSON with names of columns: write --names "
+        """'{"c_q[1]" = "charge"}' or --names '{"c_q[1]": "charge", "v_x": null}', each in single quotes"""
+    )
 
 
 # of `run` as well, whose other options of files stand in the job

@@ -39,23 +39,19 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
     # what few fields need is read by tasks of its own; contacts are checked against the particles,
     # which come last
     seldom = [*ROTATION, *MOTION]
-    kinds = {
-        "rotation": [name for name in particle_types if name in ROTATION],
-        "motion": [name for name in particle_types if name in MOTION],
-        "particles": [name for name in particle_types if name not in seldom],
-    }
-    for kind, wanted in kinds.items():
+    kinds = {"rotation": ROTATION, "motion": MOTION, "particles": {*particle_types} - {*seldom}}
+    for kind, names in kinds.items():
         layer = f"read-{kind}-{token}"
-        tasks = dict[Any, Any]()
-        types = {name: particle_types[name] for name in wanted}
-        others = [name for name in seldom if name in particle_types and name not in wanted]
+        tasks: dict[Any, Any] = {}
+        types = {name: dtype for name, dtype in particle_types.items() if name in names}
+        others = [name for name in seldom if name in particle_types and name not in types]
         reader = source.reading(unwanted=tuple(others))
         for k, part in enumerate(parts):
             edges = entries_of(boxes, part)
             task = partial(read_particle_chunk, reader, steps[part], types, particle_count, edges)
             tasks[layer, k] = (task,)
         graph = HighLevelGraph({layer: tasks}, {layer: set()})
-        graphs |= dict.fromkeys(wanted, (graph, layer))
+        graphs |= dict.fromkeys(types, (graph, layer))
     if series.contact_names:
         particles = layer
         layer = f"read-contacts-{token}"
@@ -77,13 +73,13 @@ def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
 
 
 def _sensible(series: Series) -> int:
-    """Count steps that make a task of `_TASK` seconds, whose arrays are no larger than dask wants chunks to be."""
+    """Count steps that make a task of a tenth of a second, with arrays no larger than dask's chunks."""
     refs = [ref for step in series.steps for ref in (step.particles, *step.contacts)]
     shared = Counter(ref.path for ref in refs)
     # bytes of a body, from its header, else its share of the file
     read = sum(ref.length or ref.size / shared[ref.path] for ref in refs) / len(series.steps)
-    held: int = sum(
-        math.prod(shape[1:]) * np.dtype(dtype).itemsize for dtype, shape in series.arrays().values()
-    )
+    in_memory = 0  # bytes of a step
+    for dtype, shape in series.arrays().values():
+        in_memory += math.prod(shape[1:]) * np.dtype(dtype).itemsize
     size = sum(ref.rows for ref in refs) / len(series.steps)
-    return steps_in_a_task(len(series.steps), size, held, read * _BYTE)
+    return steps_in_a_task(len(series.steps), size, in_memory, read * _BYTE)
