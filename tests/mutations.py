@@ -275,6 +275,112 @@ TABLE = [
         "fields/passes.py", "phase[row[at]] * others + phase[partner[at]]",
         "phase[partner[at]] * others + phase[row[at]]", "test_exchange_between_phases_equals_brute_force",
     ),
+    Mutation(
+        "fields/passes.py", "(columns, -1 / arrays.plan.cutoff_of_group)",
+        "(columns, 1 / arrays.plan.cutoff_of_group)",
+        "test_kernel_gradient_is_the_derivative_of_velocity",
+    ),
+    Mutation(
+        "fields/passes.py", "arrays.plan.cutoff_of_group ** CUTOFF_POWERS[name]", "1.0",
+        "test_linear_flow_is_exact_with_two_widths",
+    ),
+    Mutation(
+        "fields/passes.py", "same[name] = float(columns[0, 0])", "same[name] = 1.0",
+        "test_equal_diameters_take_one_column",
+    ),
+    Mutation(
+        "fields/passes.py", "return bool((values == values[0]).all())", "return True",
+        "test_fields_of_any_scene_equal_brute_force",
+    ),
+    Mutation(
+        "fields/passes.py", "(contacts.j, contacts.i, -1.0)", "(contacts.j, contacts.i, 1.0)",
+        "test_exchange_between_phases_equals_brute_force",
+    ),
+    Mutation(
+        "fields/passes.py", "arrays.column(moment, images, contact) * share[:, None]",
+        "arrays.column(moment, images, contact)",
+        "test_phases_add_up",
+    ),
+    Mutation(
+        "fields/passes.py", "translations(2.0, self.source)", "translations(1.0, self.source)",
+        "test_support_larger_than_the_box_counts_all_images",
+    ),
+    Mutation(
+        "fields/passes.py", "self.phase[c.j[mixed]]", "self.phase[c.i[mixed]]",
+        "test_sums_over_contacts_equal_brute_force",
+    ),
+    Mutation(
+        "fields/passes.py", "np.repeat(plan.cutoff_of_group == cutoff, others)",
+        "np.tile(plan.cutoff_of_group == cutoff, others)",
+        "test_forces_between_phases_have_the_kernel_of_the_phase_they_act_on",
+    ),
+    Mutation(
+        "fields/sums/nodes.py", "self.shape[1] + y[:, None]) * self.shape[2] + z",
+        "self.shape[1] + y[:, None]) * self.shape[1] + z",
+        "test_threads_and_blocks_change_no_bit",
+    ),
+    Mutation(
+        "fields/sums/nodes.py", "triple((np.array(self.high) - 1) * spacings)",
+        "triple((np.array(self.high) - 2) * spacings)",
+        "test_threads_and_blocks_change_no_bit",
+    ),
+    Mutation(
+        "fields/sums/nodes.py", "np.where(nodes.active, period, np.inf) / cutoff",
+        "np.where(nodes.active, period, np.inf)",
+        "test_fields_in_3d_equal_brute_force",
+    ),
+    Mutation(
+        "fields/sums/nodes.py", "self.upper + reach, np.inf", "self.upper, np.inf",
+        "test_fields_equal_those_of_another_basis_and_other_images",
+    ),
+    Mutation(
+        "fields/sums/nodes.py", "argmin(axis=0) == 0", "argmin(axis=0) == 1",
+        "test_the_stress_of_a_contact_with_a_far_partner_is_exact_near_the_mesh",
+    ),
+    Mutation(
+        "fields/sums/nodes.py", "reach / self.period + 1.0", "reach * self.period + 1.0",
+        "test_thousands_of_images_raise_where_they_are_paired",
+    ),
+    Mutation(
+        "fields/sums/nodes.py", "n * self.spacing.get(a, 0.0)", "(n - 1) * self.spacing.get(a, 0.0)",
+        "test_finite_differences_wrap_around_a_period",
+    ),
+    Mutation(
+        "fields/formulas/tracing.py", "register[operand] >= kept", "register[operand] >= 0",
+        "test_programs_of_any_fields_in_any_order",
+    ),
+    Mutation(
+        "fields/formulas/tracing.py", "kept += FOUND", "kept += 1",
+        "test_fits_by_eigenvectors_equal_those_of_the_loop",
+    ),
+    Mutation(
+        "fields/formulas/tracing.py", "register[operands[1]] + operands[0]", "register[operands[1]]",
+        "test_a_program_gives_what_the_registry_gives",
+    ),
+    Mutation(
+        "fields/formulas/tracing.py", "complete.setdefault(max(numbers)", "complete.setdefault(min(numbers)",
+        "test_programs_of_any_fields_in_any_order",
+    ),
+    Mutation(
+        "fields/formulas/tracing.py", "inputs_of[0], inputs_of[-1]", "inputs_of[-1], inputs_of[0]",
+        "test_a_program_gives_what_the_registry_gives",
+    ),
+    Mutation(
+        "fields/passes.py", "values[:, 0] *= share", "values[:, 0] *= 1.0",
+        "test_variables_of_contacts_are_sums_at_the_contact_points",
+    ),
+    Mutation(
+        "fields/passes.py", 'frame["velocity"] + drift', 'frame["velocity"] - drift',
+        "test_grains_written_by_images_that_move_give_the_same_fields",
+    ),
+    Mutation(
+        "fields/sums/nodes.py", "lower = self.lower - _MARGIN", "lower = self.lower + _MARGIN",
+        "test_the_far_part_of_a_slanted_branch_does_not_matter",
+    ),
+    Mutation(
+        "fields/sums/nodes.py", "part * branch)", "branch)",
+        "test_the_part_of_a_far_branch_along_a_periodic_axis_is_that_near_the_mesh",
+    ),
     # --- fields/grids ---
     Mutation(
         "fields/grids/grid.py", "first += 0.5 * spacing", "first += 0.4 * spacing",
@@ -776,6 +882,34 @@ TABLE = [
     Mutation(
         "analysis/structure_factor.py", "half = plane if h else plane[len(plane) // 2 + 1 :]", "half = plane",
         "test_the_isotropic_one_is_the_mean_over_all_vectors",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "np.angle(means[0]) / n", "np.angle(means[0])",
+        "test_the_angle_turns_with_the_neighbours",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "sums.sum(axis=1) / len(particle)", "sums.sum(axis=1) / count",
+        "test_order_is_that_of_brute_force",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "[bond, -bond]", "[bond, bond]",
+        "test_order_is_that_of_brute_force",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "nearest[0][:, 0] < distance[:, -1]", "nearest[0][:, 0] > distance[:, -1]",
+        "test_order_is_that_of_brute_force",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "len(position) + nearest[1][changed]", "nearest[1][changed]",
+        "test_order_is_that_of_brute_force",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "if distance.max() > reach * (1 + 1e-12):", "if False:",
+        "test_wrong_input_is_named",
+    ),
+    Mutation(
+        "analysis/bond_order.py", "is_itself[~is_itself.any(axis=1), -1] = True", "pass",
+        "test_a_neighbour_at_the_same_place_is_an_error",
     ),
     Mutation(
         "analysis/bond_order.py", "scale *= 2", "scale *= 1", "test_order_is_that_of_brute_force",

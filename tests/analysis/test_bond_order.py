@@ -197,9 +197,10 @@ def test_freud_agrees_within_its_single_precision(dimension):
         np.testing.assert_allclose(found[name][0], np.abs(kind.particle_order), atol=1e-4)
 
 
-def test_a_neighbour_at_the_same_place_is_an_error():
-    position = [[0.0, 0, 0], [1, 0, 0], [1, 0, 0]]
-    ds = xcg.scene_from_arrays(position, diameter=[1.0] * 3, density=1.0)
+@pytest.mark.parametrize("at_one_place", [2, 5])  # five push each other out of the two nearest
+def test_a_neighbour_at_the_same_place_is_an_error(at_one_place):
+    position = [[0.0, 0, 0]] + [[1.0, 0, 0]] * at_one_place
+    ds = xcg.scene_from_arrays(position, diameter=1.0, density=1.0)
     for arguments in ({"r_max": 2.0}, {"neighbours": 2}):
         with pytest.raises(xcg.SceneError, match="particle 1 has a neighbour at its own place"):
             ds.cg.bond_order(**arguments)

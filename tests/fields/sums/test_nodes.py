@@ -106,6 +106,22 @@ def test_the_far_part_of_a_slanted_branch_does_not_matter():
     assert float(abs(short.contact_stress).max()) > 0.1
 
 
+def test_the_part_of_a_far_branch_along_a_periodic_axis_is_that_near_the_mesh():
+    """A branch that moves 0.3 m along x on a way of 1e6 m moves nothing on the 1 m that nodes see."""
+    options = {"axes": "xz", "bounds": {"z": (0.4, 0.6)}, "spacing": 0.1, "width": 0.2}
+    stresses = []
+    for aside in (0.0, 0.3):
+        pair = [[0.5, 0.5, 0.5], [0.5 + aside, 0.5, 1e6]]
+        with warned_of_far():
+            f = touching_pairs(pair, [(0, 1)], periodic="x").cg.coarse_grain(
+                "contact_stress", **options
+            )
+        stresses.append(f.contact_stress.sel(direction="z"))
+    straight, slanted = stresses
+    assert float(abs(straight).max()) > 1.0
+    np.testing.assert_allclose(slanted, straight, rtol=1e-5, atol=1e-5)
+
+
 def test_a_far_branch_adds_nothing():
     ds = touching_pairs([[0, 0, 1e12], [1e3, 0, 1e12 + 1e9], [0, 0, 0.5]], [(0, 1)])
     options = {"axes": "z", "bounds": {"z": (0.4, 0.6)}, "spacing": 0.1, "width": 0.3}
