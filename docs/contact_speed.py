@@ -239,17 +239,21 @@ def draw(results: dict[str, list[dict]], path: Path) -> None:
         1, len(results), figsize=(10, 4.2), sharey=True, layout="constrained"
     )
     colours = {"hierarchical": "C0", "linked": "C3", "tree": "C1", "freud": "C2"}
+    markers = {"hierarchical": "o", "linked": "s", "tree": "^", "freud": "D"}
     for panel, (kind, rows) in zip(panels, results.items(), strict=True):
         for name, label in NAMES.items():
             known = [(row["ratio"], row[name]) for row in rows if row[name] is not None]
             x = [ratio for ratio, _ in known]
             y = [m.time * 1e9 for _, m in known]
             panel.plot(
-                x, y, color=colours[name], label=label, lw=2 if name == "hierarchical" else 1.3
-            )
+                x, y, markers[name], ls="-", ms=5, color=colours[name], label=label,
+                lw=2 if name == "hierarchical" else 1.3,
+            )  # fmt: skip
             for ratio, m in known:
-                face = "white" if m.scaled else colours[name]
-                panel.plot(ratio, m.time * 1e9, "o", color=colours[name], mfc=face, ms=5)
+                if m.scaled:
+                    panel.plot(
+                        ratio, m.time * 1e9, markers[name], color=colours[name], mfc="white", ms=5
+                    )
         panel.set(xscale="log", yscale="log", title=kind, xlabel="largest over smallest diameter")
         panel.set_xticks(RATIOS, [str(r) for r in RATIOS])
         panel.minorticks_off()
