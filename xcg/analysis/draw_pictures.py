@@ -190,8 +190,7 @@ class Frames:
             ax.autoscale_view()  # an image sets the limits to its own extent
         else:
             mesh = ax.pcolormesh(x, y, values, **self.keywords)
-        if self.fastest > 0:
-            self._draw_arrows(ax, *_arrows_on(picture, across, up))
+        self._draw_arrows(picture, ax)
         if across != "theta":
             ax.set_aspect("equal")
         ax.apply_aspect()
@@ -211,22 +210,22 @@ class Frames:
         across = rim * np.cos(turn[:, None])
         up = rim * np.sin(turn[:, None])
         mesh = ax.pcolormesh(across, up, values, **self.keywords)
-        if self.fastest > 0:
-            self._draw_arrows(ax, *_arrows_in_circle(picture, self.name))
+        self._draw_arrows(picture, ax)
         ax.set_aspect("equal")
         unit = drawing.label_of(picture["r"], "r").removeprefix("$r$")
         drawing.set_label(ax.xaxis, rf"$r\,\cos\theta${unit}")
         drawing.set_label(ax.yaxis, rf"$r\,\sin\theta${unit}")
         return mesh
 
-    def _draw_arrows(self, ax: Axes, x: Any, y: Any, along: Any, rise: Any, apart: float) -> None:
-        """Draw arrows; the longest are as long as their spacing, and slow nodes have none."""
-        moving = np.hypot(along, rise) >= AT_REST * self.fastest
+    def _draw_arrows(self, picture: xr.Dataset, ax: Axes) -> None:
+        if not self.fastest > 0:
+            return
+        x, y, along, rise, apart = _arrows(picture, self.name, self.fastest)
         ax.quiver(
-            x[moving],
-            y[moving],
-            along[moving],
-            rise[moving],
+            x,
+            y,
+            along,
+            rise,
             pivot="mid",
             color="white",
             edgecolor="black",
@@ -242,6 +241,19 @@ def _are_even(edges: NDArray) -> bool:
     """Return whether edges are equally far apart."""
     steps = np.diff(edges)
     return bool(np.ptp(steps) <= 1e-6 * abs(steps).max())
+
+
+def _arrows(
+    picture: xr.Dataset, name: str, fastest: float
+) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
+    """Return middles and components (n,) of arrows, which slow nodes have none of, and how far they are apart."""
+    across, up = axes_of(picture)
+    if (across, up) == CIRCLE:
+        x, y, along, rise, apart = _arrows_in_circle(picture, name)
+    else:
+        x, y, along, rise, apart = _arrows_on(picture, across, up)
+    moving = np.hypot(along, rise) >= AT_REST * fastest
+    return x[moving], y[moving], along[moving], rise[moving], apart
 
 
 def _arrows_on(
@@ -264,11 +276,14 @@ def _arrows_in_circle(
     rim, turn, _ = drawing.cells_of(picture[name].transpose("theta", "r"), "flat")
     apart = 2 * rim[-1] / ARROWS
     line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)
-    x, y = (a.ravel() for a in np.meshgrid(line, line))
+    x, y = np.meshgrid(line, line)
     away = np.hypot(x, y)
     angle = np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
     inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
-    x, y, away, angle = (a[inside] for a in (x, y, away, angle))
+    x = x[inside]
+    y = y[inside]
+    away = away[inside]
+    angle = angle[inside]
     points = {"r": xr.DataArray(away, dims="arrow"), "theta": xr.DataArray(angle, dims="arrow")}
     nearest = picture.sel(points, method="nearest")
     outward = nearest[f"{ARROW}r"].to_numpy()
@@ -280,18 +295,13 @@ def _arrows_in_circle(
 
 def segments_of(picture: xr.Dataset, name: str) -> dict[str, NDArray]:
     """Return the ends of the arrows that `plot` draws on a map of `picture_of`: x0, y0, x1, y1."""
-    across, up = axes_of(picture)
-    picture = picture.sortby([across, up])
+    picture = picture.sortby(axes_of(picture))
     fastest = _fastest(picture)
     if not fastest > 0:
         return {end: np.zeros(0) for end in ("x0", "y0", "x1", "y1")}
-    if (across, up) == CIRCLE:
-        x, y, along, rise, apart = _arrows_in_circle(picture, name)
-    else:
-        x, y, along, rise, apart = _arrows_on(picture, across, up)
-    moving = np.hypot(along, rise) >= AT_REST * fastest
-    half = 0.5 * apart / fastest
-    x, y, along, rise = x[moving], y[moving], half * along[moving], half * rise[moving]
+    x, y, along, rise, apart = _arrows(picture, name, fastest)
+    along = 0.5 * apart / fastest * along
+    rise = 0.5 * apart / fastest * rise
     return {"x0": x - along, "y0": y - rise, "x1": x + along, "y1": y + rise}
 
 
