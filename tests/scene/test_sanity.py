@@ -228,10 +228,17 @@ def test_a_layer_taken_as_a_volume_warns(layer):
     assert not said(position, diameter=diameter, box={"z": (-0.6, 0.6)}, **SCALED)
 
 
-def test_a_volume_taken_as_a_layer_warns(chute):
+def test_a_volume_taken_as_a_layer_warns(chute, tmp_path):
     position, diameter, box = chute
     (message,) = said(position, diameter=diameter, box=box, dimension=2, periodic="xy", **SCALED)
     assert "leave dimension=2 out" in message
+    table = pd.DataFrame(position, columns=["x", "y", "z"]).assign(diameter=diameter)
+    table.to_csv(tmp_path / "p.csv", index=False)
+    with pytest.warns(xcg.SceneWarning, match="leave dimension=2 out"):
+        xcg.open_scene(tmp_path / "p.csv", dimension=2, **SCALED)
+    # a thickness that spans the grains is meant
+    thickness = float(np.ptp(position[:, 2]))
+    assert not said(position, diameter=diameter, dimension=2, thickness=thickness, **SCALED)
     uneven = position * [1, 1, 0] + [0, 0, 1] * diameter[:, None] / 2  # spheres that lie on a floor
     assert not any(
         "one layer" in text for text in said(uneven, diameter=diameter, dimension=2, **SCALED)

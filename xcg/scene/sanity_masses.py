@@ -137,7 +137,7 @@ def _layer(grains: Particles) -> str | None:
 
     A box of at most three diameters across the plane is the layer's thickness.
     """
-    if grains.is_volume or grains.count < FEW:
+    if grains.count < FEW:
         return None
     position = grains.frame["position"]
     lengths = np.ptp(position, axis=0)
@@ -145,14 +145,14 @@ def _layer(grains: Particles) -> str | None:
     plane = "".join(COMPONENTS[k] for k in range(3) if k not in flat)
     if grains.setup.dimension == 2:
         depth = sum(lengths[k] for k in range(3) if COMPONENTS[k] not in grains.setup.plane)
-        if not depth > _FLAT_BOX * grains.diameter:
+        if not depth > max(_FLAT_BOX * grains.diameter, grains.setup.thickness or 0.0):
             return None
         way = f"give plane={plane!r}" if len(flat) == 1 else "leave dimension=2 out"
         return (
             f"the scene is one layer in the plane {grains.setup.plane!r}, and grains are up to {depth:.4g} apart "
             f"across it: {way}, or select the grains of one layer"
         )
-    if len(flat) != 1:
+    if grains.is_volume or len(flat) != 1:
         return None
     low, high = grains.edges.get(flat[0], (-np.inf, np.inf))
     if high - low <= _FLAT_BOX * grains.diameter:

@@ -108,7 +108,7 @@ def test_masses_of_discs_are_named_with_their_thickness(tmp_path, door, thicknes
         xcg.SceneWarning, match=rf"fit discs of thickness {thickness:g}, .*shape='disc'"
     ):
         door(tmp_path, columns)
-    ds = door(tmp_path, columns, shape="disc", thickness=thickness, dimension=2)
+    ds = door(tmp_path, columns, shape="disc", thickness=thickness)
     np.testing.assert_allclose(ds.volume.squeeze(), thickness * DISC, rtol=1e-4)
 
 
