@@ -884,3 +884,10 @@ def test_a_volume_fraction_above_one_by_a_narrow_kernel_names_the_kernel():
     ):
         f = ds.cg.coarse_grain(["volume_fraction"], axes="z", width=0.2, spacing=0.05).compute()
     assert f.volume_fraction.max() > 1
+
+
+def test_scenes_without_sizes_are_refused_for_their_sizes():
+    ds = xcg.scene_from_arrays(np.eye(3), velocity=np.eye(3))
+    for fields in ("density", "velocity", "number_density", None):
+        with pytest.raises(xcg.SceneError, match="the files hold no sizes of the grains"):
+            ds.cg.coarse_grain(fields)
