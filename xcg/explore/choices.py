@@ -216,11 +216,11 @@ class Pictures:
         """Return the number of intervals between slices along an axis: those between nodes."""
         return max(1, self.ds.sizes[axis] - 1)
 
-    def _read(self, time: int, count: int = 1) -> xr.Dataset:
-        """Return steps from a position on, in memory."""
+    def _read(self, time: int) -> xr.Dataset:
+        """Return the step at a position, in memory."""
         if "time" not in self.ds.dims:
             return self.ds.compute()
-        return self.ds.isel(time=slice(time, time + count)).compute()
+        return self.ds.isel(time=[time]).compute()
 
     def _selection(self, time: int) -> str:
         if self.steps == 1:
