@@ -63,8 +63,8 @@ left.set(xlabel="mean shear strain", ylabel="largest eigenvalue of $Q$", ylim=(0
 left.legend()
 layers = rods.isel(time=[0, 5, 15, 59]).cg.coarse_grain(names, axes="z", width="2 d43").compute()
 of_layers = layers.cg.principal("nematic_tensor").nematic_tensor_principal.sel(principal=1)
-for k, strain in enumerate((0, 5, 15, 59)):
-    right.plot(of_layers.isel(time=k), layers.z, label=f"strain {strain}")
+for k, (strain, style) in enumerate({0: ":", 5: "-.", 15: "--", 59: "-"}.items()):
+    right.plot(of_layers.isel(time=k), layers.z, style, label=f"strain {strain}")
 right.set(xlabel="largest eigenvalue of $Q$", ylabel="height $z$", xlim=(0, 1))
 right.legend(loc="center left", bbox_to_anchor=(1, 0.5))
 plt.show()
