@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 from tests import raise_if_dask_computes, truths
@@ -400,3 +401,24 @@ def test_a_jet_is_no_fluctuation(axes, share):
     assert share - 0.12 < named < share + 0.02
     ds = xcg.scene_from_arrays(position, velocity=velocity, **still)
     assert said(ds, "kinetic_stress", axes=axes, about="no fluctuation") == []
+
+
+@pytest.mark.parametrize("sample", ["shear_cell_0.02", "shear_cell_0.03", "shear_cell_0.2"])
+@pytest.mark.parametrize("axes", ["", "y"])
+def test_waves_of_a_homogeneous_shear_are_fluctuations(sample, axes):
+    ds = xcg.datasets.open(sample).compute()
+    fields = ["granular_temperature", "stress"]  # which takes contacts
+    for t in range(ds.sizes["time"]):
+        assert said(ds.isel(time=[t]), fields, about="which fields are averaged", axes=axes) == []
+
+
+def test_a_strong_wave_along_a_period_is_named_where_it_is_averaged():
+    """Of V_y = 6 sin(2 pi x / L) and T = 1 a temperature averaged along x holds 18 beside 3."""
+    ds = truths.gas(1)
+    x = ds.position.sel(component="x") * (2 * np.pi / float(ds.box[0, 0, 1]))
+    wave = xr.zeros_like(ds.velocity)
+    wave[..., 1] = 6 * np.sin(x)
+    ds = ds.assign(velocity=ds.velocity + wave)
+    (text,) = said(ds, "granular_temperature", about="variation of the flow", axes="z")
+    assert float(re.search(r"about (\d+) %", text)[1]) == pytest.approx(100 * 18 / 21, abs=4)
+    assert "along x" in text
