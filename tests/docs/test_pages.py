@@ -6,6 +6,7 @@ import inspect
 import pkgutil
 import re
 import runpy
+from typing import get_args
 
 import pytest
 
@@ -105,6 +106,14 @@ def test_every_public_name_has_a_page():
     assert set(xcg.__all__) - modules <= listed
     for name in listed:
         assert pkgutil.resolve_name(f"xcg.{name}").__doc__, name
+
+
+def test_every_kernel_has_its_shape_on_the_page_of_theory():
+    from xcg.fields.sums.kernels import KernelName
+
+    text = (ROOT / "docs" / "theory.md").read_text().partition("## Kernels\n")[2]
+    table = text.partition("| kernel | shape")[2].partition("\n\n")[0]
+    assert re.findall(r"^\| `([\w ]+)`", table, re.MULTILINE) == [*get_args(KernelName)]
 
 
 def test_names_of_the_api_are_alphabetical_within_their_groups():
