@@ -422,3 +422,9 @@ def test_a_strong_wave_along_a_period_is_named_where_it_is_averaged():
     (text,) = said(ds, "granular_temperature", about="variation of the flow", axes="z")
     assert float(re.search(r"about (\d+) %", text)[1]) == pytest.approx(100 * 18 / 21, abs=4)
     assert "along x" in text
+
+
+def test_a_node_sees_no_more_grains_than_there_are():
+    ds = xcg.scene_from_arrays(np.zeros((1, 3)), velocity=np.eye(3)[:1], diameter=1.0, density=1.0)
+    with pytest.warns(xcg.SceneWarning, match=r"sees only about 1\.0 grains"):
+        ds.cg.coarse_grain(width=1.0).compute()

@@ -83,7 +83,8 @@ def support_of(scene: Scene, plan: Plan) -> Support | None:
     # in a unit of the space that the kernel sees
     number = count / filled * averaged
     partners = 2 * scene.ds.sizes.get("contact", 0) / count
-    grains = max(1.0, number / plan.kernel.squared_integral(seen))
+    # no more than there are, where the support holds more than the space that they fill
+    grains = max(1.0, min(number / plan.kernel.squared_integral(seen), count))
     share = _SHARE_OF_CUBE[d] * size**d * count / filled
     return Support(
         grains=grains,
