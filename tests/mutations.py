@@ -532,6 +532,10 @@ TABLE = [
         "test_a_temperature_that_holds_the_flow_along_an_averaged_axis_names_its_share",
     ),
     Mutation(
+        "fields/advice.py", "kinetic = float(parts.about_flow.sum())", "kinetic = float(parts.kinetic.sum())",
+        "test_waves_of_a_homogeneous_shear_are_fluctuations",
+    ),
+    Mutation(
         "fields/formulas/doubts.py", "(reached & values.isnull())", "values.notnull()",
         "test_averaged_temperatures_of_phases_that_are_unknown_warn_of_their_share",
     ),

@@ -412,6 +412,15 @@ def test_waves_of_a_homogeneous_shear_are_fluctuations(sample, axes):
         assert said(ds.isel(time=[t]), fields, about="which fields are averaged", axes=axes) == []
 
 
+@pytest.mark.parametrize("sample", ["hopper_4", "hopper_6"])
+def test_grains_that_fall_through_a_period_vary_along_it(sample):
+    """They come back at the top."""
+    ds = xcg.datasets.open(sample)
+    about = "variation of the flow along z, which fields are averaged"
+    (text,) = said(ds.isel(time=[-1]), "granular_temperature", about=about, axes="x")
+    assert 60 < float(re.search(r"about (\d+) %", text)[1]) < 85
+
+
 def test_a_strong_wave_along_a_period_is_named_where_it_is_averaged():
     """Of V_y = 6 sin(2 pi x / L) and T = 1 a temperature averaged along x holds 18 beside 3."""
     ds = truths.gas(1)

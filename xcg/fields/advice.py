@@ -52,9 +52,8 @@ _FLOORS = "floors"  # what the warning about them is about
 _ALIKE_RATES = 0.3  # difference of a slope of the velocities from the rate of the box
 _SLACK = 1.2  # of a volume fraction above 1 that one grain is the cause of
 _SURE = 5.0  # standard errors of such a slope
-# Share of a temperature along a period: waves of a homogeneous flow are fluctuations, and of slow dense
-# ones, such as the samples of sheared discs, up to 0.7 of them and of those between neighbours.
-_ALONG_PERIOD = 0.8
+# Share of a temperature along a period: waves of a homogeneous flow are fluctuations, and vary by half of it.
+_ALONG_PERIOD = 0.6
 
 _OF_READ_CONTACTS = ("branch_anisotropy", "tangential_force_anisotropy")
 _OF_FLUCTUATION = {"inertial_number", "stress_strain_rate_angle"}
@@ -616,7 +615,7 @@ class ComputedStep:
         parts = self._pressures
         if parts is None:
             return
-        kinetic = float(parts.kinetic.sum())
+        kinetic = float(parts.about_flow.sum())
         added = {}
         for axis, part in parts.averaged.items():
             size = float(part.sum())

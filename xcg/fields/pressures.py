@@ -28,6 +28,8 @@ class Pressures:
     ----------
     kinetic, contact : array (3,)
         Of fluctuations, and of contacts.
+    about_flow : array (3,)
+        Of the fluctuations of all grains about the flow, such as waves of many grains.
     smeared : array (3,)
         Of the variation of the flow within the support of the kernel.
     averaged : dict
@@ -38,6 +40,7 @@ class Pressures:
 
     kinetic: NDArray
     contact: NDArray
+    about_flow: NDArray
     smeared: NDArray
     averaged: Mapping[str, NDArray]
     mass: float
@@ -55,7 +58,8 @@ def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
     sample = {name: frame[name][::every] for name in ("position", "velocity", "mass")}
     mass = sample["mass"]
     flow, smeared, averaged = variation_of_flow(plan, sample, lattice)
-    kinetic = mass @ (sample["velocity"] - flow) ** 2
+    about_flow = mass @ (sample["velocity"] - flow) ** 2
+    kinetic = about_flow
     contact = np.zeros(3)
     if "contact_i" in frame:
         contacts, rows = _sampled_contacts(frame, lattice)
@@ -73,6 +77,7 @@ def pressures_of(plan: Plan, frame: Frame, lattice: Lattice) -> Pressures:
     return Pressures(
         kinetic * (kinetic > least),
         contact,
+        about_flow * (about_flow > least),
         smeared * (smeared > least),
         {axis: part * (part > least) for axis, part in averaged.items()},
         float(mass.sum()),
