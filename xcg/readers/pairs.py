@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from xcg.common.checks import floats
 from xcg.common.messages import SceneError, printable, unknown, warn_user
+from xcg.readers.column_units import unit_of
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.order import order_steps
@@ -52,9 +53,13 @@ def index_files(
     absent = sorted({*options.names, *chain(*options.names_of.values())} - columns)
     if absent and columns:
         listed = f"columns are {' '.join(sorted(columns))}"
-        raise SceneError(
-            f"names={{{absent[0]!r}: ...}}: {unknown('column', absent[0], columns, listed)}"
-        )
+        with_units = {}  # names end in the units that metadata hold
+        for column in columns:
+            unit = unit_of(column)
+            if unit is not None:
+                with_units[unit.stem.lower()] = column
+        message = unknown("column", absent[0], columns, listed, with_units)
+        raise SceneError(f"names={{{absent[0]!r}: ...}}: {message}")
     return indexed
 
 

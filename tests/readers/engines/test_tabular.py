@@ -404,6 +404,8 @@ def test_units_in_the_metadata_of_parquet_are_read(tmp_path, key):
     np.testing.assert_allclose(ds.diameter[0], [2e-6, 4e-6])
     np.testing.assert_allclose(ds.velocity[0, :, 0], [1e-2, 2e-2])
     assert ds.time.values.tolist() == [5e-3]
+    with pytest.raises(xcg.SceneError, match=r"unknown column 'vx'; did you mean 'vx \[cm/s\]'\?"):
+        xcg.open_scene(path, density=1.0, names={"vx": None})
     given = xcg.open_scene(path, density=1.0, units={"length": 1.0, "time": 1.0})
     assert given.position[0, 0].values.tolist() == [1.0, 1.0, 1.0]
 
