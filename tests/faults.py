@@ -62,7 +62,8 @@ def start(job: str, path: Path, most: int | None = None) -> subprocess.Popen:
         if most is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
-    call = [sys.executable, "-m", "tests.faults", "--job", job, str(path)]
+    # -B: bytecode that is cut off at the limit would be kept
+    call = [sys.executable, "-B", "-m", "tests.faults", "--job", job, str(path)]
     return subprocess.Popen(
         call, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit
     )

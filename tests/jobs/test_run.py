@@ -388,7 +388,11 @@ def test_runs_work_on_a_file_system_without_locks(tmp_path, monkeypatch):
 # the first step fails, or a later one, after which the run resumes in the same way
 @pytest.mark.parametrize("limit", [20_000, pytest.param(600_000, marks=pytest.mark.slow)])
 def test_a_full_disk_is_reported_and_the_run_resumes(job, limit):
-    before = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
+    # Python would keep bytecode that is cut off at the limit, and no process could import it
+    before = (
+        "import resource, sys; sys.dont_write_bytecode = True; "
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
+    )
     process = start(job, before=before)
     said, _ = process.communicate(timeout=120)
     assert process.returncode == 1, said
