@@ -131,6 +131,18 @@ TABLE = [
         "readers/column_units.py", "2 * math.pi / 60", "math.pi / 60", "test_units_of_columns_have_factors_to_si",
     ),
     Mutation(
+        "readers/named_columns.py", "not in ((0, 0, 0), unit.powers)", "not in ((0, 0, 0), powers)",
+        "test_units_of_another_quantity_are_named",
+    ),
+    Mutation(
+        "readers/files/table.py", "compute.list_element(values, k)", "compute.list_element(values, 0)",
+        "test_lists_in_parquet_are_vectors",
+    ),
+    Mutation(
+        "fields/support.py", "plan.kernel.squared_integral(seen), count))", "plan.kernel.squared_integral(seen), 1e9))",
+        "test_a_node_sees_no_more_grains_than_there_are",
+    ),
+    Mutation(
         "readers/named_columns.py", "return unit.factor", "return 1.0",
         "test_units_in_names_are_converted_unless_units_are_given",
     ),
