@@ -889,5 +889,8 @@ def test_a_volume_fraction_above_one_by_a_narrow_kernel_names_the_kernel():
 def test_scenes_without_sizes_are_refused_for_their_sizes():
     ds = xcg.scene_from_arrays(np.eye(3), velocity=np.eye(3))
     for fields in ("density", "velocity", "number_density", None):
-        with pytest.raises(xcg.SceneError, match="the files hold no sizes of the grains"):
+        with pytest.raises(xcg.SceneError, match=r"no sizes of the grains.* or give width="):
             ds.cg.coarse_grain(fields)
+    for options in ({"width": 0.5}, {"kernel": xcg.Lucy(width=0.5)}):
+        f = ds.cg.coarse_grain("number_density", **options)
+        assert f.width == 0.5

@@ -164,6 +164,8 @@ def kernels_of(scene: Scene, request: Request) -> list[Kernel]:
     width = request.width
     if isinstance(width, Mapping):
         return _kernels_of_groups(scene, request, width)
+    if width is None and isinstance(request.kernel, str) and "d43" not in scene.sizes:
+        scene.require(("diameter",), "the usual width, 0.75 mean diameters,", "; or give width=")
     return [kernel_of(request.kernel, width, scene.sizes, scene.setup.dimension)]
 
 

@@ -285,10 +285,7 @@ def make_plan(scene: Scene, request: Request) -> Plan:
         If an argument is wrong, or the mesh has too many nodes; the message then names particles
         that are far from the others.
     """
-    required = []
-    if request.width is None and "d43" not in scene.sizes:
-        required.append("diameter")
-    scene.require(required, "coarse_grain")
+    scene.require((), "coarse_grain")
     rtol = request.rtol
     by = request.by
     kernels = kernels_of(scene, request)
