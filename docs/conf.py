@@ -146,7 +146,7 @@ def copy_mathjax(app, error):
 def copy_scenes(app, error):
     """Copy the pictures that can be turned, which the pages of the gallery frame."""
     if error is None and app.builder.format == "html":
-        copy_asset(Path(app.srcdir, SCENES), Path(app.outdir, SCENES))
+        copy_asset(Path(app.srcdir, SCENES), Path(app.outdir, SCENES), force=True)
 
 
 def setup(app):
