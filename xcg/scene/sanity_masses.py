@@ -140,11 +140,12 @@ def _layer(grains: Particles) -> str | None:
     if grains.count < FEW:
         return None
     position = grains.frame["position"]
-    lengths = np.ptp(position, axis=0)
-    flat = np.flatnonzero(lengths == 0)
+    nearly = np.flatnonzero(np.ptp(grains.sample["position"], axis=0) == 0)
+    flat = [int(k) for k in nearly if not np.ptp(position[:, k])]
     plane = "".join(COMPONENTS[k] for k in range(3) if k not in flat)
     if grains.setup.dimension == 2:
-        depth = sum(lengths[k] for k in range(3) if COMPONENTS[k] not in grains.setup.plane)
+        (across,) = {0, 1, 2} - {*grains.setup.axes}
+        depth = np.ptp(position[:, across])
         if not depth > max(_FLAT_BOX * grains.diameter, grains.setup.thickness or 0.0):
             return None
         way = f"give plane={plane!r}" if len(flat) == 1 else "leave dimension=2 out"

@@ -205,7 +205,10 @@ def run(
         lengths |= coord.sizes
     lengths |= analysis.sizes(scene, ds)
     read = _variables_of_task(ds, [*required, *(n for n in analysis.optional if n in ds)])
-    shapes = _shapes_of_step(name, outputs, lengths, lazy=is_lazy(ds, read))
+    dims = {dim for output in outputs.values() for dim in output.dims}
+    if any(lengths.get(dim) is None for dim in dims):
+        _check_lengths(name, outputs, lengths, lazy=is_lazy(ds, read))
+    shapes = {n: tuple(lengths[dim] for dim in output.dims) for n, output in outputs.items()}
     threads = THREADS
     if any(len(ds.variables[n].chunksizes.get("time", ())) > 1 for n in read):
         threads = 1  # of several chunks at once
@@ -230,25 +233,24 @@ def run(
     return analysis.after(result, ds)
 
 
-def _shapes_of_step(
+def _check_lengths(
     name: str,
     outputs: Mapping[str, Variable],
     lengths: Mapping[Any, int | None],
     *,
     lazy: bool,
-) -> dict[str, tuple[int | None, ...]]:
-    """Return the shape of each result; raise TypeError for a dimension whose length is not known."""
-    shapes = {}
+) -> None:
+    """Raise TypeError for a dimension whose length is not known; that of lists is known where a scene is in memory."""
     for result, output in outputs.items():
         for dim in output.dims:
+            of_lazy = ""
+            if dim in lengths:
+                of_lazy = " of a lazy scene"
             if dim not in lengths or (lazy and lengths[dim] is None):
-                of_lazy = " of a lazy scene" * (dim in lengths)
                 raise TypeError(
                     f"{name}: the dimension {dim!r} of {result!r}{of_lazy} has no length; return one in sizes(), "
                     "or a coordinate in coords()"
                 )
-        shapes[result] = tuple(lengths[dim] for dim in output.dims)
-    return shapes
 
 
 def _variables_of_task(ds: xr.Dataset, required: Sequence[str]) -> dict[str, str]:
