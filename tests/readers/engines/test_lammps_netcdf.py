@@ -99,6 +99,13 @@ def test_single_precision_without_timestep_is_read(tmp_path):
     np.testing.assert_allclose(xcg.open_scene(path, timestep=0.5).time, [0, 10])
 
 
+def test_times_that_are_no_numbers_of_steps_raise(tmp_path):
+    """They were rounded to steps, which have no times."""
+    path = write_netcdf(tmp_path / "n.nc", {0.0: rows_of(), 1.5: rows_of()}, timestep=None)
+    with pytest.raises(xcg.SceneError, match=r"n\.nc.* time 1\.5 in record 1 and no scale_factor"):
+        frames_of(path)
+
+
 def test_a_tilted_netcdf_box(tmp_path):
     """Lengths and angles of a lattice give the lattice back."""
     lattice = np.array([[10.0, 0, 0], [2, 9, 0], [-1, 1.5, 8]])

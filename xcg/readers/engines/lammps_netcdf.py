@@ -68,6 +68,11 @@ def steps_of(path: str) -> Iterator[StepRef]:
         time = None
         if len(scale) == 1 and np.isfinite(scale[0]):
             time = number * float(scale[0])
+        elif not number.is_integer():
+            file.refuse(
+                f"has the time {number:g} in record {k} and no scale_factor, which numbers of steps have: it is not by "
+                "LAMMPS, and xcg.scene_from_arrays takes what xarray reads from it"
+            )
         yield StepRef(
             path,
             file.dims["atom"],
