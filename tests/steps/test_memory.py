@@ -100,11 +100,11 @@ def test_a_scene_is_built_in_little_more_memory_than_it_takes(packing, shuffled,
         rows = np.random.default_rng(0).permutation(packing.sizes["particle"])
         given |= {name: given[name][rows] for name in names if not name.startswith("contact")}
     given |= {"box": packing.box.to_numpy()[0], "periodic": "xyz", "density": 2500.0}
-    built = []
-    xcg.scene_from_arrays(**given)  # whatever is imported once
-    most = peak(lambda: built.append(xcg.scene_from_arrays(**given)))
-    assert most < 1.3 * built[0].nbytes
-    assert not any(np.shares_memory(built[0][name].to_numpy(), given[name]) for name in names)
+    built = xcg.scene_from_arrays(**given)  # imports what is imported once
+    # threads of a cluster that other tests have started add to one of them
+    most = min(peak(lambda: xcg.scene_from_arrays(**given)) for _ in range(3))
+    assert most < 1.3 * built.nbytes
+    assert not any(np.shares_memory(built[name].to_numpy(), given[name]) for name in names)
 
 
 def test_a_frame_is_completed_in_little_more_memory_than_it_takes():
