@@ -255,7 +255,7 @@ def _by_sizes(request: Request) -> bool:
 
 
 def check_size(scene: Scene, request: Request, grid: Nodes, numbers: int) -> None:
-    """Raise ValueError unless an automatic mesh, with so many numbers of fields a step, fits into the memory at hand.
+    """Raise ValueError unless a large automatic mesh, with so many numbers of fields a step, fits into memory at hand.
 
     Raises
     ------
@@ -269,7 +269,7 @@ def check_size(scene: Scene, request: Request, grid: Nodes, numbers: int) -> Non
             f"spacing is 0.75 mean diameters (d43 = {scene.sizes.get('d43', np.nan):.4g}): check that sizes and "
             f"positions have one unit, or give width= or spacing=; {about_strays(scene)}"
         )
-    if not grid.fitted or grid.count < LARGE:
+    if not grid.fitted:
         return
     ds = scene.ds
     # all steps, or those of the longest chunk of a lazy scene

@@ -178,10 +178,12 @@ class Report:
 
     def _second_columns(self) -> list[str]:
         """Name columns that are called as a variable that another one fills."""
+        sentences: list[str] = []
+        if self.whole_vectors:
+            return sentences
         aliases = self._slots()
         filled = {slot: column for column, slot in self.read.items()}
-        sentences = []
-        for name in () if self.whole_vectors else self.unread:
+        for name in self.unread:
             slot = aliases.get(canonical(name))
             if slot in filled:
                 sentences.append(

@@ -105,7 +105,8 @@ def is_central(contacts: Frame, particles: Frame, lattice: Lattice) -> bool:
 
 def _sampled_pairs(contacts: Frame, particles: Frame) -> tuple[NDArray, NDArray]:
     """Return contacts between two particles among a sample, and the vectors (n, 3) from j to i of their centres."""
-    some = np.arange(len(contacts["contact_i"]))[sample_of(len(contacts["contact_i"]))]
+    count = len(contacts["contact_i"])
+    some = np.arange(*sample_of(count).indices(count))
     ids = particles["particle_id"]
     index_i = indices_of(ids, np.asarray(contacts["contact_i"][some], "int64"))
     index_j = indices_of(ids, np.asarray(contacts["contact_j"][some], "int64"))

@@ -302,13 +302,13 @@ def _factor(file: h5py.File, path: str, column: str) -> float:
     attributes = dataset(file, path).attrs
     for name in ("units", "unit"):
         for value in np.ravel(attributes.get(name, ()))[:1]:
-            unit = f"{column} [{text_of(value)}]"
-            if has_other_unit(unit, column):
+            with_unit = f"{column} [{text_of(value)}]"
+            if has_other_unit(with_unit, column):
                 raise SceneError(
                     f"{file.filename}: {path!r} has the unit {text_of(value)!r}, which is not known or not one of "
                     f"{column}; give the factors to SI, such as units={{'length': 1e-3}} for mm, or units='SI'"
                 )
-            return factor_of(unit, column)
+            return factor_of(with_unit, column)
     return 1.0
 
 
